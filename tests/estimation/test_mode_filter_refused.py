@@ -27,6 +27,7 @@ THREE = plants.generic()
         ({"forgetting": 0.0}, r"forgetting must be above 0 and below 1, got 0"),
         ({"forgetting": 1.0}, r"forgetting must be above 0 and below 1, got 1"),
         ({"initial": [0.5, 0.6]}, "initial must be probabilities, ≥ 0 with sum 1"),
+        ({"disturbance": [1e10, -1]}, r"disturbance must be positive semidefinite, got -1"),
         ({"initial": [1.5, -0.5]}, "initial must be probabilities, ≥ 0 with sum 1"),
         ({"initial": [1.0]}, r"initial must have shape \(modes,\) or \(modes, ages\)"),
         ({"ages": 3}, "ages must be left out of a Markov model"),

@@ -148,11 +148,11 @@ GROWING = dt.SwitchedSystem(
         ({"C": [[1.0]]}, r"C must have n = 2 columns"),
         ({"noise": [0.1, 0.1]}, r"noise must have shape \(p,\) = \(1,\), got \(2,\)"),
         ({"noise": -1.0}, "noise must be ≥ 0, a standard deviation"),
-        ({"covariance": -1.0}, "covariance must be positive semidefinite, got an eigenvalue -1"),
+        ({"covariance": -1.0}, "covariance must be positive semidefinite, got -1 on its"),
         ({"covariance": np.nan}, "covariance.* must be finite"),
         ({"estimate": [1.0]}, r"estimate must have shape \(n,\) = \(2,\), got \(1,\)"),
         ({"model": plants.markov(3)}, "model must have the plant's 2 modes, got 3"),
-        ({"disturbance": -1.0}, "disturbance must be positive semidefinite, got an eigenvalue -1"),
+        ({"disturbance": -1.0}, "disturbance must be positive semidefinite, got -1 on its"),
         (
             {"plant": HIDING},
             "modes 0 and 1 cannot be distinguished. The same state and inputs give",

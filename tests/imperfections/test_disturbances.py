@@ -351,7 +351,10 @@ def test_covariances_and_their_roots_are_those_of_a_quadrature():
 @pytest.mark.parametrize(
     ("imperfection", "message"),
     [
-        (WhiteDisturbance(-1.0), "WhiteDisturbance.intensity must be positive semidef"),
+        (
+            WhiteDisturbance([1e10, 1.0, -1.0]),
+            "WhiteDisturbance.intensity must be positive semidef",
+        ),
         (WhiteDisturbance(W + np.triu(W, 1)), "WhiteDisturbance.intensity must be symmetric"),
         (WhiteDisturbance(np.eye(2)), r"WhiteDisturbance.intensity must have shape \(n, n\)"),
         (ColouredDisturbance(1.0, 0.0, FORCE), "time_constant > 0"),

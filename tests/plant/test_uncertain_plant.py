@@ -54,10 +54,13 @@ def test_a_proof_is_of_every_plant_within():
     ("covariance", "said"),
     [
         (np.eye(4), r"as many rows and columns .* 5 or 6, got \(4, 4\)"),
-        (-np.eye(5), "variances ≥ 0"),
+        (-np.eye(5), "semidefinite, got -1 on its diagonal"),
         (np.eye(5) + np.eye(5, k=1), "must be symmetric"),
         (np.eye(5) + 2.0 * (1.0 - np.eye(5)), "positive semidefinite"),
-        ([[1.0, 0, 0, 0, 0.1], *4 * [[0.0] * 5]] + np.eye(5, k=-4) / 10, "beside a variance of 0"),
+        (
+            [[1.0, 0, 0, 0, 0.1], *4 * [[0.0] * 5]] + np.eye(5, k=-4) / 10,
+            "beside a 0 on its diagonal",
+        ),
     ],
 )
 def test_what_is_no_covariance_is_refused(covariance, said):

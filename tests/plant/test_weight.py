@@ -170,8 +170,11 @@ def test_cost_does_not_depend_on_the_units_of_states_and_inputs():
     ("Q", "R", "message"),
     [
         ([[1, 2], [3, 4]], 1, "Q must be symmetric"),
-        ([[1, 0], [0, -1]], 1, "Q must be positive semidefinite, got an eigenvalue -1"),
-        (1, -2, "R must be positive semidefinite, got an eigenvalue -2"),
+        ([[1, 0], [0, -1]], 1, "Q must be positive semidefinite, got -1 on its diagonal"),
+        (1, -2, "R must be positive semidefinite, got -2 on its diagonal"),
+        ([1e10, -1], 1, "Q must be positive semidefinite, got -1 on its diagonal"),
+        ([[1e20, 2e10], [2e10, 1]], 1, "semidefinite, got an eigenvalue -1 when scaled"),
+        ([[1e20, 1], [0, 1e-20]], 1, "Q must be symmetric"),
         ([1, float("nan")], 1, "Q[1] must be finite, got nan"),
         (np.zeros((2, 3)), 1, "Q must have shape (n, n) = (2, 2), got (2, 3)"),
         (1, np.ones((1, 1, 1)), "R must have shape (m, m), (m,) or (), got (1, 1, 1)"),

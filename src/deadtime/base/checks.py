@@ -238,6 +238,40 @@ def require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], form: st
     return array
 
 
+def require_semidefinite(
+    name: str, matrix: np.ndarray, tolerance: float = 1e-9, strict: bool = False
+) -> None:
+    """Refuse a matrix that is not symmetric and positive semidefinite, or definite if `strict`.
+
+    The tolerance is that of `correlations`, so that units do not decide what counts as round-off.
+    """
+    kind = "positive definite" if strict else "positive semidefinite"
+    diagonal = np.diagonal(matrix)
+    least = diagonal.min()
+    if least < 0.0 or (strict and least == 0.0):
+        raise ArgumentError(f"{name} must be {kind}, got {least:.4g} on its diagonal.")
+    unit = np.sqrt(diagonal)
+    within = np.outer(unit, unit)
+    if (np.abs(matrix - matrix.T) > tolerance * within).any():
+        raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
+    if matrix[within == 0.0].any():
+        raise ArgumentError(
+            f"{name} must be {kind}, got an entry other than 0 beside a 0 on its diagonal."
+        )
+    least = np.linalg.eigvalsh(correlations(matrix))[0]
+    if least < -tolerance * len(matrix) or (strict and least <= 0.0):
+        raise ArgumentError(
+            f"{name} must be {kind}, got an eigenvalue {least:.4g} when scaled to a unit diagonal."
+        )
+
+
+def correlations(covariance: np.ndarray) -> np.ndarray:
+    """A covariance scaled to a unit diagonal; rows with a variance of 0 stay 0."""
+    unit = np.sqrt(np.diagonal(covariance))
+    back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
+    return 0.5 * (covariance + covariance.T) * back[:, None] * back
+
+
 def python_control(what: str) -> Any:
     """python-control; `what` needs it, in the plural."""
     try:

@@ -45,7 +45,7 @@ class Controller(RunningLaw):
     status : Status
         The outcome of the last period.
     refused : int
-        How many periods had an argument that was refused.
+        How many calls had a status that is an error; `LATE` is none.
     late : int
         How many periods had no call, by the times of calls.
     samples : int
@@ -159,9 +159,8 @@ class Controller(RunningLaw):
         outputs u and the status. A `BeliefPredictor` has no mode input; its belief, the probability
         of every mode, is an output. Laws on outputs have the input y instead of x; an
         `OutputFeedback` also has the estimate as an output and, if `report_reference` is set, the
-        reference as an input. Samples are taken at the start and once a period; a sample at the
-        beginning of a step uses the inputs of that step. The FMU has sources and, where there is a
-        compiler, a binary for this machine.
+        reference as an input. It samples at the start and once a period, with the inputs set before
+        the step. The FMU has sources and, where there is a compiler, a binary for this machine.
 
         Parameters
         ----------

@@ -29,7 +29,7 @@ class Status(enum.IntEnum):
     BAD_APPLIED = 4  # the applied input is not finite: the last input is held
     OVERFLOW = 5  # the command is not finite: the last input is held
     BAD_REFERENCE = 6  # the reference is not finite: the last one is kept
-    LATE = 7  # periods passed without a call: their input counts as held
+    LATE = 7  # periods passed without a call: their input counts as held, or as `applied`
     OUT_OF_ORDER = 8  # the period of `time` has had its call: nothing is done
 
 

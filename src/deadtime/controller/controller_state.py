@@ -54,13 +54,13 @@ class Observing:
 
         A mode below 0 is unknown: an observer that depends on it then predicts without y.
         """
-        bad_reference = self._refuses(reference, samples)
+        bad_reference = self._take_reference(reference, samples)
         unknown = mode < 0 and self.reads_mode
         z = self._running.update(latest, None if unknown else y, mode, self._r)
         return z, not self._running.corrected, bad_reference
 
-    def _refuses(self, reference: ArrayLike | None, samples: int) -> bool:
-        """Take a reference, None for the law's own; whether it is refused as not finite."""
+    def _take_reference(self, reference: ArrayLike | None, samples: int) -> bool:
+        """Take a finite reference, None for the law's own; return whether it is refused."""
         if self.reference is None:
             return False
         if reference is None:

@@ -124,8 +124,9 @@ class RunningLaw(Stateful):
         time : float, optional
             When this sample was taken, seconds on any clock that only goes forward; by default the
             next period. Jitter below half a period is ignored. A second call for a period is
-            refused. In periods without a call the input counts as held; `late` counts them. A time
-            more than 100,000 periods later is refused as out of order: it is of another clock.
+            refused. In periods without a call the input counts as held, or as `applied`; `late`
+            counts them. A time more than 100,000 periods later is refused as out of order: it is of
+            another clock.
         belief : array_like, shape (modes,) or (modes, ages), optional
             For a `BeliefPredictor`: a belief at t_k from another source, which replaces the
             filter's own; a call out of order ignores it. Over modes alone, each mode keeps the

@@ -154,7 +154,7 @@ class OutputFeedback(Law):
             return self
         first, reference = self.estimate, self.reference
         if self.covariance is not None:
-            # Not by Cholesky: a semidefinite covariance has no factor.
+            # np.linalg.cholesky refuses semidefinite matrices.
             values, vectors = np.linalg.eigh(self.covariance)
             number = stream(seed, "Estimate").standard_normal(first.size)
             first = first + vectors @ (np.sqrt(np.maximum(values, 0.0)) * number)

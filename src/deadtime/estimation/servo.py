@@ -254,11 +254,10 @@ class Servo(Frozen):
                 f"tracked must have one column per output, {C.shape[1]}, got {H.shape}."
             )
         E = np.zeros((modes, n, 0)) if disturbance is None else _forces(disturbance, plant)
-        A, B = (
-            np.zeros((modes, n + E.shape[2], n + E.shape[2])),
-            np.zeros((modes, n + E.shape[2], plant.inputs)),
-        )
-        A[:, :n, :n], A[:, :n, n:], B[:, :n] = plant.A, E, plant.B
+        A = np.zeros((modes, n + E.shape[2], n + E.shape[2]))
+        A[:, :n, :n], A[:, :n, n:] = plant.A, E
+        B = np.zeros((modes, n + E.shape[2], plant.inputs))
+        B[:, :n] = plant.B
         model = plant.like(A, B)
         measured = np.concatenate((C, np.zeros((modes, C.shape[1], E.shape[2]))), axis=2)
         vars(self).update(

@@ -27,7 +27,7 @@ from deadtime.switching import SwitchingSignal
 MOST_BYTES = 1e9  # of a table: more is mostly a mistake of units
 
 # From x_k, the past inputs (the latest last), the sampled mode and its age in samples to u_k. It is
-# called at every sample: with x = NaN for a lost one, where NaN as its result holds the last input.
+# called at every sample. At a lost sample x is NaN; if the result is NaN, the last input is held.
 Update = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 
 

@@ -166,7 +166,8 @@ def check_lyapunov(
 ) -> CommonLyapunov:
     """A user's P and Q, checked in the inequality; Q is lowered by a bound on rounding errors.
 
-    `lyapunov` is a CommonLyapunov or a pair (P, Q).
+    `lyapunov` is a CommonLyapunov or a pair (P, Q), each a matrix, its diagonal or a number
+    that multiplies the identity.
     """
     if isinstance(lyapunov, CommonLyapunov):
         lyapunov = (lyapunov.P, lyapunov.Q)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, bound, brief, count, instance, positive, read_only
+from deadtime.base.checks import bound, brief, count, instance, positive, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.files import replacing
 from deadtime.base.frozen import Frozen
@@ -40,6 +40,7 @@ from deadtime.identification.likelihoods.likelihood import REACH
 from deadtime.identification.parameters import Layout, Square, Squares, Vector, cells_of
 from deadtime.numerics.covariance import noise_covariances
 from deadtime.plant import OperatingPoint, SwitchedSystem
+from deadtime.plant.weight import intensities
 from deadtime.switching import SwitchingSignal
 from deadtime.switching.grid import modes_at
 
@@ -270,19 +271,8 @@ def _used_periods(
 
 def _intensity_of(plant: SwitchedSystem, disturbance: ArrayLike) -> Squares:
     """W of every mode, checked: symmetric and positive semidefinite."""
-    n, form = plant.states, "a number, (n,), (n, n) or (modes, n, n)"
-    given = as_floats("disturbance", disturbance, form)
-    each = {0: lambda W: W * np.eye(n), 1: np.diag}.get(given.ndim, lambda W: W)(given)
-    if each.shape not in ((n, n), (plant.modes, n, n)) or not np.isfinite(each).all():
-        raise ArgumentError(f"disturbance must be {form}, finite, got shape {given.shape}.")
-    W = np.broadcast_to(each, (plant.modes, n, n))
-    size = np.abs(W).max()
-    askew = np.abs(W - W.swapaxes(1, 2)).max() > 1e-9 * size
-    if askew or np.linalg.eigvalsh(W).min() < -1e-9 * size:
-        raise ArgumentError(
-            f"disturbance must be symmetric and positive semidefinite, got {given.tolist()}."
-        )
-    return W
+    modes, n = plant.modes, plant.states
+    return np.broadcast_to(intensities("disturbance", disturbance, modes, n), (modes, n, n))
 
 
 def _deviations_of(plant: SwitchedSystem, noise: ArrayLike) -> Float[np.ndarray, " n"]:

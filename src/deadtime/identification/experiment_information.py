@@ -177,7 +177,8 @@ def chain_of(
         M[c, n : n + m], E[c, n : n + m] = U, np.eye(m)
         M[c, n + m :, n : size - m] = np.eye(size - n - m)
     place = [layout.of_mode(i) for i in range(layout.modes)]
-    V, (P, by_P) = np.zeros(n) if V is None else V, zip(*weights, strict=True)
+    V = np.zeros(n) if V is None else V
+    P, by_P = zip(*weights, strict=True)
     return Chain(
         M, E, Z, Y, gains[pairs[1]], kind, mode, S, V, np.array(P), list(by_P), place, table is None
     )

@@ -256,17 +256,15 @@ def estimate_hidden_noisy(decoded: DecodedFit[HiddenNoisyLog]) -> ModesEstimate:
 
 def _delay_scan(decoded: DecodedFit) -> Start:
     """A scan of the delays' other cells, where other peaks may lie."""
-    start, theta = decoded.fit.start, decoded.theta[: decoded.log.layout.size]
-    whole, cells, layout = (
-        start.log.over(*start.log.bounds),
-        start.log.cells(start.theta),
-        decoded.fit.layout,
-    )
-    periods, weight = whole.periods, whole.posterior(start.theta, cells).weight
-    _, curves = scan_cells(periods, weight, layout.spread(cells), start.log.layout)
+    start, layout = decoded.fit.start, decoded.fit.layout
+    whole = start.log.over(*start.log.bounds)
+    cells = start.log.cells(start.theta)
+    weight = whole.posterior(start.theta, cells).weight
+    _, curves = scan_cells(whole.periods, weight, layout.spread(cells), start.log.layout)
     if layout.per_mode:
         curves = curves.reshape(layout.modes, layout.m, -1)[decoded.order].reshape(curves.shape)
-    return Start(theta, decoded.log.cells(theta), int(periods.cells[0]), curves, 2 * layout.n)
+    theta, first = decoded.theta[: decoded.log.layout.size], int(whole.periods.cells[0])
+    return Start(theta, decoded.log.cells(theta), first, curves, 2 * layout.n)
 
 
 def _by_differences(

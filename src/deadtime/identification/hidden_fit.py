@@ -100,7 +100,8 @@ class HiddenFit(Generic[Log]):
     """The likeliest plant of a number of modes.
 
     window : of delays; values : log likelihood after every step
-    start : its start, moved to the maximum on the grid that the start leads to
+    start : the likelihood on the grid, and the unknowns with which `_delay_scan` weights it: those
+    of the fit with exact states, of the start with noisy sensors
     """
 
     log: Log
@@ -394,7 +395,8 @@ def _noisy_fit_from(
             f"modes = {layout.modes} is too many for this log: with noise of the sensors a mode is "
             f"left with {rows:.0f} rows: ask for fewer, or log for longer."
         )
-    # BIC compares fits over the same samples: those after the first of each stretch.
+    # BIC compares fits over the same samples: those at which no filter starts, for any delay
+    # searched.
     starts = log.starts(*search.bounds)
     value = float(log.filtered(best.theta, starts)[1][~np.concatenate(starts)].sum())
     fit = HiddenFit(

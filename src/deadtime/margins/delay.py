@@ -198,9 +198,19 @@ def constant_delay_margin(
     if len(modes) < plant.modes:
         only = f", of the modes that may be held ({', '.join(map(str, modes))})"
         message = message + only if modes else "no mode may be held"
-    (low, low_mode, slow), (high, high_mode, fast) = lower, upper
-    ends = low, high, low_mode, high_mode, slow, fast
-    return DelayMargin(*ends, growth, nominal, message, input=input, differ=differ)
+    return DelayMargin(
+        lower=lower.delay,
+        upper=upper.delay,
+        lower_mode=lower.mode,
+        upper_mode=upper.mode,
+        lower_frequency=lower.frequency,
+        upper_frequency=upper.frequency,
+        growth=growth,
+        nominal=nominal,
+        message=message,
+        input=input,
+        differ=differ,
+    )
 
 
 def moving_delays(plant: SwitchedSystem, input: int | None) -> Float[np.ndarray, "mode moving"]:

@@ -251,10 +251,10 @@ def least_dwell_time(
             message = (
                 f"No dwell time is long enough: held in mode {i} the loop grows at {rate:+.4g} 1/s."
             )
-            return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
+            return _uncertified(math.inf, worst, message)
     if worst.grows and len(worst.modes) > 1 and math.isinf(shape.admits(worst)):
         message = f"No dwell time of mode {shape.mode} is long enough: {worst.message}"
-        return LeastDwellTime(None, math.inf, None, False, None, worst, message, ())
+        return _uncertified(math.inf, worst, message)
     most = min(shape.longest, MOST_ROUNDED * step / max(shape.weights) / shape.signals.chatter)
     # After a few time constants the transient of a switch has decayed: a proof is likely there.
     calm = max(4.0 * step, min(CALM / max(-slowest, 1e-9), 0.5 * MOST_PERIODS * step))
@@ -300,16 +300,33 @@ def _certified_dwell_time(questions: Questions, dwell_time: float, most: float) 
 
 
 def _without_proof(questions: Questions, worst: WorstCase, shape: DwellShape) -> LeastDwellTime:
-    refuted = shape.admits(worst) if worst.grows else None
     evaluations = _evaluations(questions)
     reason = questions.proof(min(questions.answers)).message  # cached: the longest that was tried
     each = _each(evaluations[-1][0], shape)
     found = f"No {_of(shape)} up to {each} s was certified: {reason}"
-    if refuted is None:
-        return LeastDwellTime(None, None, None, False, None, None, found, evaluations)
-    refuted_each = None, shape.dwell_times(refuted)
+    if not worst.grows:
+        return _uncertified(None, None, found, evaluations)
+    refuted = shape.admits(worst)
+    return _uncertified(refuted, worst, found, evaluations, shape.dwell_times(refuted))
+
+
+def _uncertified(
+    refuted: float | None,
+    witness: WorstCase | None,
+    message: str,
+    evaluations: tuple[tuple[float, bool | None], ...] = (),
+    refuted_each: tuple[float, ...] | None = None,
+) -> LeastDwellTime:
     return LeastDwellTime(
-        None, refuted, None, False, None, worst, found, evaluations, *refuted_each
+        certified=None,
+        refuted=refuted,
+        ratio=None,
+        proven=False,
+        certificate=None,
+        witness=witness,
+        message=message,
+        evaluations=evaluations,
+        refuted_each=refuted_each,
     )
 
 
@@ -328,11 +345,17 @@ def _in_seconds(found: Bracket, questions: Questions, shape: DwellShape) -> Leas
         text += "; no shorter dwell time was refuted."
     if found.open is not None:
         text += f" No answer at {_each(1.0 / found.open[0], shape)} s: {found.open[1]}"
-    proof, answers = found.certificate, _evaluations(questions)
-    ratio = None if refuted is None else certified / refuted
-    each = [None if time is None else shape.dwell_times(time) for time in (certified, refuted)]
     return LeastDwellTime(
-        certified, refuted, ratio, proof.proven, proof, found.witness, text, answers, *each
+        certified=certified,
+        refuted=refuted,
+        ratio=None if refuted is None else certified / refuted,
+        proven=found.certificate.proven,
+        certificate=found.certificate,
+        witness=found.witness,
+        message=text,
+        evaluations=_evaluations(questions),
+        certified_each=shape.dwell_times(certified),
+        refuted_each=None if refuted is None else shape.dwell_times(refuted),
     )
 
 

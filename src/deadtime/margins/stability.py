@@ -347,10 +347,16 @@ def stability_margin(
     apart = None
     if found.refuted is not None:
         apart = found.refuted / found.certified if found.certified > 0.0 else float("inf")
-    low, high, proof, answers = found.certified, found.refuted, found.certificate, questions.answers
-    tried = tuple(sorted(answers.items()))
-    text = _message(found)
-    return StabilityMargin(low, high, apart, proof.proven, proof, found.witness, text, tried)
+    return StabilityMargin(
+        certified=found.certified,
+        refuted=found.refuted,
+        ratio=apart,
+        proven=found.certificate.proven,
+        certificate=found.certificate,
+        witness=found.witness,
+        message=_message(found),
+        evaluations=tuple(sorted(questions.answers.items())),
+    )
 
 
 def _message(found: Bracket) -> str:

@@ -9,14 +9,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import count as whole_number, instance, read_only, real_array, share
+from deadtime.base.checks import (
+    correlations,
+    count as whole_number,
+    instance,
+    read_only,
+    real_array,
+    require_semidefinite,
+    share,
+)
 from deadtime.base.errors import ArgumentError
 from deadtime.plant.plant_set import PlantSet, PlantUncertainty, Polytope
 from deadtime.plant.switched_system import SwitchedSystem
 
 _SHORTEST = 1e-3  # of the most likely delay: no random plant has a shorter one
 _OUTWARD = 1.0 + 1e-9  # so that rounding excludes no plant
-_SYMMETRIC = 1e-6  # error of a correlation that the digits of a file may cause
+_DIGITS = 1e-6  # error of a correlation that the digits of a file may cause
 _ROUNDED = 1e-10  # relative round-off of an ellipsoid's axes
 
 
@@ -116,7 +124,7 @@ class UncertainPlant(PlantUncertainty):
                 f"covariance must have as many rows and columns as A, B and the delays have "
                 f"entries, {' or '.join(map(str, sizes))}, got {given.shape}."
             )
-        _require_covariance(given)
+        require_semidefinite("covariance", given, _DIGITS)
         if given.shape[0] == sizes[0] < sizes[-1] and (plant.delays[0] != plant.delays).any():
             raise ArgumentError(
                 f"covariance must have {sizes[-1]} rows and columns, one of every mode's delays, "
@@ -246,36 +254,10 @@ class UncertainPlant(PlantUncertainty):
         return f"UncertainPlant({self.plant!r}, {len(self.covariance)} entries)"
 
 
-def _require_covariance(given: np.ndarray) -> None:
-    """Refuse a matrix that is no covariance, in units in which variances are 1."""
-    unit = np.sqrt(np.maximum(np.diagonal(given), 0.0))
-    within = np.outer(unit, unit)
-    if (np.diagonal(given) < 0.0).any() or (np.abs(given - given.T) > _SYMMETRIC * within).any():
-        raise ArgumentError("covariance must be symmetric, with variances ≥ 0 on its diagonal.")
-    if given[within == 0.0].any():
-        raise ArgumentError(
-            "covariance must be positive semidefinite, got an entry beside a variance of 0: a "
-            "certain parameter is correlated with no other."
-        )
-    least = np.linalg.eigvalsh(_scaled(given))[0]
-    if least < -_SYMMETRIC * len(given):
-        raise ArgumentError(
-            f"covariance must be positive semidefinite, got an eigenvalue {least:.4g} of the "
-            "correlations."
-        )
-
-
-def _scaled(covariance: np.ndarray) -> np.ndarray:
-    """The correlations; 0 for certain parameters."""
-    unit = np.sqrt(np.diagonal(covariance))
-    back = np.divide(1.0, unit, out=np.zeros_like(unit), where=unit > 0.0)
-    return 0.5 * (covariance + covariance.T) * back[:, None] * back
-
-
 def _root(covariance: np.ndarray) -> Float[np.ndarray, "size d"]:
     """L of Σ = L Lᵀ, a column per uncertain direction."""
     # Of the correlations, so that the rank does not depend on the units of the parameters.
-    values, vectors = np.linalg.eigh(_scaled(covariance))
+    values, vectors = np.linalg.eigh(correlations(covariance))
     uncertain = values > len(values) * np.finfo(float).eps
     unit = np.sqrt(np.diagonal(covariance))
     return unit[:, None] * vectors[:, uncertain] * np.sqrt(values[uncertain])

@@ -13,14 +13,21 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, brief, number, read_only, real_array, require_shape
+from deadtime.base.checks import (
+    as_floats,
+    brief,
+    number,
+    read_only,
+    real_array,
+    require_semidefinite,
+    require_shape,
+)
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.base.json_records import record
 from deadtime.plant import SwitchedSystem
 
 PLAIN = "∫|x|² + |u|²"
-_ROUND_OFF = 1e-9  # of the largest entry: an asymmetry or an eigenvalue below 0 by computation
 _MOST = 3  # rows of a matrix that a label shows in full
 
 
@@ -152,14 +159,7 @@ def weight_part(
         whole = real_array(name, given, form, given.ndim)
     whole = np.diag(whole) if given.ndim == 1 else whole
     whole = require_shape(name, whole, (len(whole),) * 2, f"({letter}, {letter})")
-    # Relative to the largest entry, so that units do not decide what counts as round-off.
-    allowed = _ROUND_OFF * np.abs(whole).max()
-    if np.abs(whole - whole.T).max() > allowed:
-        raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
-    least = np.linalg.eigvalsh(whole)[0]
-    if least < -allowed or (strict and least <= 0.0):
-        kind = "positive definite" if strict else "positive semidefinite"
-        raise ArgumentError(f"{name} must be {kind}, got an eigenvalue {least:.4g}.")
+    require_semidefinite(name, whole, strict=strict)
     # Symmetric to the last bit: a filter that is stored and restored must not drift.
     whole = read_only((whole + whole.T) / 2.0)
     return whole if given.ndim else whole.reshape(())
@@ -184,14 +184,23 @@ def weight_matrix(
 
 def intensities(name: str, value: ArrayLike, modes: int, n: int) -> Float[np.ndarray, "*mode n n"]:
     """W as `weight_matrix` checks it, or one such matrix for each mode if they differ."""
-    given = as_floats(name, value, "one, (n,), (n, n) or (modes, n, n)")
-    if given.ndim < 3:
-        return weight_matrix(name, given, n, "n")
-    given = real_array(name, given, "(modes, n, n)", 3)
-    require_shape(name, given, (modes, n, n), "(modes, n, n)")
-    each = [weight_matrix(f"{name}[{mode}]", W, n, "n") for mode, W in enumerate(given)]
+    W = intensity_part(name, value)
+    if W.ndim < 3:
+        return weight_matrix(name, W, n, "n")
+    require_shape(name, W, (modes, n, n), "(modes, n, n)")
     # Equal ones as one: filters then need one covariance for each mode, not for each pair.
-    return each[0] if (given == given[0]).all() else read_only(np.stack(each))
+    return read_only(W[0]) if (W[0] == W).all() else W
+
+
+def intensity_part(name: str, value: ArrayLike) -> Float[np.ndarray, ...]:
+    """W as `weight_part` checks it, or one such matrix for each mode."""
+    given = as_floats(name, value, "of shape (modes, n, n), (n, n), (n,) or ()")
+    if given.ndim != 3:
+        return weight_part(name, given, "n")
+    given = real_array(name, given, "(modes, n, n)", 3)
+    return read_only(
+        np.stack([weight_part(f"{name}[{mode}]", W, "n") for mode, W in enumerate(given)])
+    )
 
 
 def _text_of(part: np.ndarray) -> str:

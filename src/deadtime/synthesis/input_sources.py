@@ -37,11 +37,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from deadtime.base.checks import as_floats, positive, read_only, real_array, share
+from deadtime.base.checks import positive, read_only, real_array, share
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
-from deadtime.plant.weight import weight_part
+from deadtime.plant.weight import intensity_part, weight_part
 
 Kind = Literal["ball", "box", "normal"]
 
@@ -184,7 +184,7 @@ class StationaryNoise(Frozen):
     ) -> None:
         part = share("probability", probability)
         parts = {
-            "process": _process(process),
+            "process": intensity_part("process", process),
             "measurement": weight_part("measurement", measurement, "n"),
         }
         if not any(one.any() for one in parts.values()):
@@ -231,12 +231,3 @@ def level_of(deviation: Float[np.ndarray, " m"], probability: float) -> Float[np
     from scipy.special import erfinv
 
     return deviation * (math.sqrt(2.0) * float(erfinv(probability)))  # P(|u| ≤ c) = erf(c/(σ√2))
-
-
-def _process(value: ArrayLike) -> Float[np.ndarray, ...]:
-    """W as `weight_part` checks it, or one such matrix per mode."""
-    if as_floats("process", value, "of shape (modes, n, n), (n, n), (n,) or ()").ndim != 3:
-        return weight_part("process", value, "n")
-    given = real_array("process", value, "(modes, n, n)", 3)
-    each = [weight_part(f"process[{mode}]", W, "n") for mode, W in enumerate(given)]
-    return read_only(np.stack(each))

@@ -124,8 +124,8 @@ def theorem_bound(
     dwell_time : float
         :math:`\tau_d > 0`, in seconds. The sharp constants do not depend on it.
     lyapunov : CommonLyapunov or (P, Q), optional
-        P and Q of inequality (4). Default: `common_lyapunov`; for "sharp" the best of a range
-        of common P.
+        P and Q of inequality (4): matrices, their diagonals or numbers times the identity.
+        Default: `common_lyapunov`; for "sharp" the best of a range of common P.
     form : {"corrected", "printed", "sharp"}
         "printed": as the text has them, errors included, for comparison only. "corrected": the
         errors corrected. "sharp": better constants for the same statement

@@ -26,8 +26,11 @@ _TABLES = {
     "hazard": ("HAZARD", "probability that a mode of this age ends within a period"),
     "jump": ("JUMP", "probabilities of the next mode"),
     "start": ("PRIOR", "the initial belief"),
-    "bend_x": ("BEND_X", "x after a change in mid-period less the mean of both modes, by x"),
-    "bend_u": ("BEND_U", "and by inputs, by lag"),
+    "bend_x": (
+        "BEND_X",
+        "gains of the state: x after a change in mid-period, less the mean of both modes",
+    ),
+    "bend_u": ("BEND_U", "likewise, gains of inputs, by lag"),
     "C": ("OUTPUT_X", "the output matrix, by mode"),
     "variance": ("OUTPUT_NOISE", "noise variance of the outputs"),
     "gain": ("OBSERVER_GAIN", "observer gains, by mode"),

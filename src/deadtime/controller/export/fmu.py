@@ -68,7 +68,7 @@ def export_fmu(
         "include": (
             f'#include "{name}.h"\n\ntypedef struct {{\n    {name}_controller controller;\n'
             "    double start, next; /* time of sample 0; next sample */\n"
-            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} inner;"
+            f"    {name}_real past[{name.upper()}_TAPS * {name.upper()}_INPUTS];\n}} inner_state;"
         ),
     }
     sources = kept | {"model.c": render("controller_model.c.j2", values)}
@@ -144,7 +144,7 @@ def export_plant_fmu(
             f"enum {{ N = {n}, M = {m}, MODES = {plant.modes}, CHANGES = {size} }};\n\n"
             "typedef struct {\n"
             "    int first, count; /* of the inputs that act now or later */\n"
-            "    double began[CHANGES];\n    double u[CHANGES][M];\n} inner;"
+            "    double began[CHANGES];\n    double u[CHANGES][M];\n} inner_state;"
         ),
         "tables": [
             {"name": key, "shape": brackets(array), "text": initializer(array, "double")}

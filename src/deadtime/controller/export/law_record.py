@@ -50,7 +50,7 @@ class LawRecord(NamedTuple):
         require_limits(controller, most)
         if observer is not None:
             observer_code.require_within(observer, most)
-        # Limits beyond the bound never act: the C clamps inputs to the bound first.
+        # Limits beyond the bound never act: the C refuses commands beyond the bound.
         low, high = (np.clip(limit, -most, most) for limit in (controller.low, controller.high))
         arrays = {
             "F": (table.state_gain, "gains of the state"),

@@ -43,7 +43,10 @@ def slots(modes: np.ndarray, step: float) -> Iterator[Slot]:
 
 
 def lasting_modes(run: RunningLaw, rng: np.random.Generator, least: int) -> np.ndarray:
-    """A mode for every call: short ones, then each for `least` calls and two windows in all."""
+    """A mode for every call: short stays, one long stay in each mode, the short stays again.
+
+    Long stays last at least `least` calls each, and two windows together.
+    """
     count = run.law.plant.modes
     stay = max(least, -(-(2 * run.table.taps + 10) // count))
     short = np.repeat(rng.integers(0, count, _HOSTILE), rng.integers(1, 30, _HOSTILE))

@@ -176,7 +176,7 @@ class HiddenNoisyLog(SensorLikelihood):
     def filtered(
         self, vector: Vector, starts: Starts, cells: Cells | None = None
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], Float[np.ndarray, " sample"]]:
-        """Log densities of every part's periods, with and without a change; and log L by sample."""
+        """Log densities of every part's periods, without and with a change; and log L by sample."""
         layout, one = self.layout, replace(self.layout, modes=1, per_mode=False)
         A, B, delays = layout.split(vector[: layout.size])
         L, R, by_part, gained = self.root(vector), self.noise(vector).deviation ** 2, [], []

@@ -109,9 +109,10 @@ def tangents(
             predict_covariance(P, Phi[i], Q[i], led_P, spare)
             predict_mean_tangents(x, by_x, Phi[i], by_Phi[i], by_added[k], own[m])
             predict_covariance_tangents(P, by_P, Phi[i], by_Phi[i], by_Q[i], noisy[m], spare)
-            reset(x, P, led_P)
             for a in range(n):
                 x[a] = led_x[a]
+                for b in range(n):
+                    P[a, b] = led_P[a, b]
         for s in range(sensors):
             error[k, s], variance[k, s] = 0.0, 1.0
             by_e[k, s, :] = 0.0
