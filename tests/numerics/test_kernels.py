@@ -1,6 +1,5 @@
 """Kernels: the same numbers by Python and compiled, and when they go over."""
 
-import gc
 import os
 import subprocess
 import sys
@@ -10,12 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numba import njit
 
 import deadtime as dt
 from deadtime.base.checks import read_only
 from deadtime.numerics import kernels
-from deadtime.numerics.compiling import where_compiling_starts
 from deadtime.numerics.exponential import discretise, gramian
 from deadtime.numerics.kernels import kernel
 from deadtime.plant import SampledPlant
@@ -127,19 +124,6 @@ def test_a_kernel_says_itself_how_many_numbers_are_large(monkeypatch):
         one(np.ones(kernels.LARGE + 1))
     assert own._ready is patient._ready is None
     assert eager._ready is not None
-
-
-@pytest.mark.parametrize("usual", [(700, 10, 10), (90_000, 5, 5), (0, 10, 10)])
-def test_garbage_is_collected_rarely_while_compiling_and_as_before_afterwards(usual):
-    before, seen = gc.get_threshold(), []
-    try:
-        gc.set_threshold(*usual)
-        with where_compiling_starts(lambda _: seen.append(gc.get_threshold())):
-            njit(lambda a: a[0] + usual[0])(np.ones(3))  # which is kept nowhere
-        assert gc.get_threshold() == usual
-    finally:
-        gc.set_threshold(*before)
-    assert seen == [(usual[0] if usual[0] in (0, 90_000) else 20_000, *usual[1:])]
 
 
 def test_patience_is_of_a_processor_and_not_of_the_clock(monkeypatch):
