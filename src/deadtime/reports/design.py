@@ -19,7 +19,7 @@ from deadtime.base.json_records import plain as json_values, record
 from deadtime.base.wording import as_rate, compact
 from deadtime.plant import SwitchedSystem
 from deadtime.plant.weight import PLAIN, record_of, text_of
-from deadtime.reports.figures.sweeps.maps import log_ticks
+from deadtime.reports.figures.sweeps.panels import round_ticks
 from deadtime.synthesis import Design, TradeOff
 from deadtime.synthesis.design_result import DECAY, LIMIT, percent
 
@@ -245,11 +245,8 @@ def _inputs_panel(panel: Axes, design: Design) -> None:
     if levels:
         panel.set_yscale("log")
         low, high = min(levels) / 1.25, 1.25 * max(levels)
-        ticks = log_ticks(low, high, 4, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
-        ticks = ticks or {math.sqrt(low * high): f"{math.sqrt(low * high):.3g}"}
         panel.set_ylim(low, high)
-        panel.set_yticks(list(ticks), list(ticks.values()))
-        panel.minorticks_off()
+        round_ticks(panel.yaxis, low, high)
     panel.set_xlim(0.0, right)
     shortest = "D" if design.law.plant.has_one_delay else "the shortest delay"
     panel.set_xlabel(f"delay margin (% of {shortest})")
