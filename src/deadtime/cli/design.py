@@ -76,11 +76,11 @@ def design(
     input_limit
         Bound of |u|, one number or one for each input, separated by commas.
     initial
-        Initial states of the bound: one number for every |x(0)| up to it, or half the width of a
-        box for each state, separated by commas; 1 by default.
+        Initial states for which |u| stays below --input-limit: one number for every |x(0)| up to
+        it, or half the width of a box for each state, separated by commas; 1 by default.
     probability
-        Probability of the bound, for a normal x(0) whose standard deviations --initial gives; with
-        --noise the fraction of the time, 0.99 by default.
+        Probability that |u| stays below --input-limit, for a normal x(0) whose standard deviations
+        --initial gives; with --noise the fraction of the time, 0.99 by default.
     noise
         Bound |u| under the stationary noise of the file's imperfections, of kinds
         white-disturbance and noise, instead of from initial states.
