@@ -36,7 +36,7 @@ def _numbered(section: S, names: Sequence[str], path: tuple[str | int, ...]) -> 
         value, note = getattr(section, key), note_of(field, ModeKey)
         if note is not None:
             with _section(*path):
-                changes[key] = _numbers(key, value, names, note.words)
+                changes[key] = mode_numbers(key, value, names, note.words)
         elif isinstance(value, Section):
             changes[key] = _numbered(value, names, (*path, key))
         elif isinstance(value, list):
@@ -48,12 +48,12 @@ def _numbered(section: S, names: Sequence[str], path: tuple[str | int, ...]) -> 
     return section.model_copy(update=changes) if changes else section
 
 
-def _numbers(key: str, value: Any, names: Sequence[str], words: Sequence[str]) -> Any:
+def mode_numbers(key: str, value: Any, names: Sequence[str], words: Sequence[str] = ()) -> Any:
     """A mode, or a list or a table of them, by numbers."""
     if isinstance(value, list):
-        return [_numbers(f"{key}[{i}]", one, names, words) for i, one in enumerate(value)]
+        return [mode_numbers(f"{key}[{i}]", one, names, words) for i, one in enumerate(value)]
     if isinstance(value, dict):
-        return {name: _numbers(f"{key}.{name}", x, names, words) for name, x in value.items()}
+        return {name: mode_numbers(f"{key}.{name}", x, names, words) for name, x in value.items()}
     if not isinstance(value, str):
         return value
     if value in words and value in names:
