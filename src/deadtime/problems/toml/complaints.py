@@ -295,9 +295,9 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
     shape = None if place.field is None else note_of(place.field, Shape)
-    fits = shape is None or kind == "dict_type"  # a shape is that of the values of a table
-    if not fits and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
-        return sentence
+    if shape is not None and kind != "dict_type":  # else the shape is that of the table's values
+        if sentence := _misshapen(name, str(place.path[-1]), given, shape):
+            return sentence
     if place.tables and kind in (*_TABLE, "list_type"):
         return _no_table(name, given, place)
     whole = ".".join(map(str, (name, *place.item)))
