@@ -294,10 +294,10 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         expected, tag = context["expected_tags"], _short(context["tag"])
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
-    shape = None if place.field is None else note_of(place.field, Shape)
-    if shape is not None and kind != "dict_type":  # else the shape is that of the table's values
-        if sentence := _misshapen(name, str(place.path[-1]), given, shape):
-            return sentence
+    # The shape on a table is that of its values.
+    shape = None if not place.field or kind == "dict_type" else note_of(place.field, Shape)
+    if shape is not None and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
+        return sentence
     if place.tables and kind in (*_TABLE, "list_type"):
         return _no_table(name, given, place)
     whole = ".".join(map(str, (name, *place.item)))
