@@ -213,7 +213,8 @@ def test_the_command_line_keeps_what_the_problem_says_of_its_signals(capsys, tmp
     assert asked[0] == (dt.SignalClass([0.3, 0.6, 0.4], [0.8, math.inf, 0.9], ways), None)
     assert "0.2, 0.4, 0.26667" in out
     assert "Dwell times of the modes stay in proportion to 0.3, 0.6, 0.4 s." in out
-    code, out, _ = run(capsys, *about, "--mode", "1", "--maximum-dwell", "2.0,3.0,2.5", "--json")
+    name = "mode 1"
+    code, out, _ = run(capsys, *about, "--mode", name, "--maximum-dwell", "2.0,3.0,2.5", "--json")
     assert asked[1] == (dt.SignalClass([0.3, 0.6, 0.4], [2.0, 3.0, 2.5], ways), 1)
     record = json.loads(out)
     assert record["least_dwell_times"]["averaged"]["certified_each"] == [0.2, 0.4, 0.8 / 3]

@@ -99,6 +99,45 @@ def test_a_wrong_name_of_a_mode_is_found_by_its_line(loaded):
         loaded(SIGNAL, SECTIONS["switches"].replace('"brake"', '"break"'))
 
 
+@pytest.mark.parametrize(
+    ("section", "wrong", "place"),
+    [
+        ("polyhedra", 'mode = "throttle"', r"line 21, \[\[signal\.regions\]\] 2: mode must"),
+        ("polyhedra", 'mode = "brake"', r"line 17, \[\[signal\.regions\]\] 1: mode must"),
+        ("log", 'stop = "brake"', r"line 15, \[signal\]: labels\.stop must"),
+    ],
+)
+def test_a_wrong_name_in_a_nested_table_is_found_by_its_line(loaded, section, wrong, place):
+    text = SECTIONS[section].replace(wrong, wrong.split("=")[0] + '= "break"')
+    with pytest.raises(dt.ProblemFileError, match=place):
+        loaded(SIGNAL, text, 'kind = "exact"', 'kind = "averaged"')
+
+
+def test_names_of_modes_must_be_unambiguous(loaded):
+    with pytest.raises(dt.ProblemFileError, match=r"line 6, .*different, got 'brake' twice"):
+        loaded('"throttle"', '"brake"')
+    observer = SECTIONS["observer"].replace('"brake"', '"mean"')
+    loaded(SIGNAL, observer)
+    with pytest.raises(
+        dt.ProblemFileError, match=r"\[observer\]: model = 'mean' is .* a mode, too"
+    ):
+        loaded('"throttle"', '"mean"', SIGNAL, observer)
+
+
+@pytest.mark.parametrize(
+    ("section", "change", "message"),
+    [
+        ("constant", ('mode = "brake"', "mode = 1.5"),
+         r"mode must be the number of a mode, or its name in \[plant\], such as mode = 0, got 1.5"),
+        ("observer", ('model = "brake"', "model = 1.5"), 'must be "modes", "mean", or a mode'),
+        ("log", ('{ go = "throttle", stop = "brake" }', "3"), "labels: input should be a table"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_mode_is_answered_with_what_can(loaded, section, change, message):
+    with pytest.raises(dt.ProblemFileError, match=message):
+        loaded(SIGNAL, SECTIONS[section].replace(*change))
+
+
 def test_the_kind_of_a_law_is_answered_with_its_name(loaded):
     with pytest.raises(dt.ArgumentError, match=r"The law of kind 'exact' has the name 'oracle'\."):
         loaded().law("exact")

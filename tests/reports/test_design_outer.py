@@ -146,6 +146,7 @@ def test_a_margin_that_is_not_reached_is_exit_code_1(capsys, tmp_path):
         (["design"], "requires an argument"),
         (["design", "paper", "--delay-margin", "2"], "delay_margin must be above 0 and below 1"),
         (["design", "paper", "--delay-margin", "0.1", "--mode", "2"], "mode must be in 0..1"),
+        (["design", "paper", "--delay-margin", "0.1", "--mode", "up"], "number of a mode or one"),
         (["design", "paper", "--delay-margin", "0.1", "--law", "exact"], "law"),
         (
             ["design", "follower", "--delay-margin", "0.1", "--budget", "20", "-o", "none/x"],

@@ -9,6 +9,7 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import file_names
 from deadtime.cli.application import main
 from deadtime.reports.figures.colours import colours_of
 from deadtime.reports.figures.sweeps import plot_bands, plot_heat, plot_regret, plot_wins
@@ -394,3 +395,10 @@ def test_of_several_figures_one_file_is_refused_before_any_is_drawn(run):
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "out 'x.png' is one file, but there are" in err
     assert not Path("x.png").exists()
+
+
+def test_a_law_that_is_added_renames_no_file():
+    before = file_names(["+ only", "only 2", "?"])
+    assert before == {"+ only": "only", "only 2": "only-2", "?": "law"}
+    after = file_names([*before, "- only", "mean", "!"])
+    assert after == before | {"- only": "only-3", "mean": "mean", "!": "law-2"}

@@ -12,12 +12,12 @@ from deadtime.reports import summary, sweep_table
 LAWS = ("mean", "averaged", "oracle")
 
 
-def many(costs, lost=None):
+def many(costs, lost=None, laws=LAWS):
     """A dataset as `monte_carlo` returns it."""
     dims = ("law", "scenario")
     lost = np.zeros_like(costs, dtype=bool) if lost is None else lost
     metrics = {"cost": (dims, costs), "ise": (dims, costs), "diverged": (dims, lost)}
-    return xr.Dataset(metrics, {"law": list(LAWS)})
+    return xr.Dataset(metrics, {"law": list(laws)})
 
 
 def sweep(values, lost=None, metric="ise", laws=LAWS, oracle="oracle", done=None):
@@ -56,6 +56,15 @@ def test_an_interval_reaches_to_infinity_where_many_runs_diverged():
     lost = np.zeros((3, 20), dtype=bool)
     lost[0, 11:] = True
     assert summary(many(costs, lost)).interval_rows()[0][2] == "6.00 to ∞"
+
+
+def test_the_latex_table_of_one_law_compares_nothing():
+    costs = np.arange(1.0, 21.0)[None]
+    found = summary(many(costs, laws=LAWS[:1]))
+    (heading, row), latex = cells(found.to_latex()), found.to_latex()
+    assert len(heading) == len(row) == 6
+    assert heading[-2:] == [r"95 \%", "growing runs"]
+    assert not any(word in latex for word in ("ratio", "Wilson", "all laws"))
 
 
 def test_the_latex_table_says_what_the_printed_ones_say():

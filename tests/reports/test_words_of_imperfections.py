@@ -1,6 +1,6 @@
 """Imperfections in sentences are words, not the code that makes them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from deadtime.imperfections import (
     StepDisturbance,
     WhiteDisturbance,
 )
+from deadtime.imperfections.base import Imperfection
 
 
 @pytest.mark.parametrize(
@@ -40,3 +41,12 @@ from deadtime.imperfections import (
 def test_imperfections_are_named_in_words(imperfection, words):
     problem = replace(dt.problems.paper(), imperfections=(imperfection,))
     assert problem.imperfections_in_words == [words]
+
+
+def test_an_imperfection_without_words_is_its_repr():
+    @dataclass(frozen=True)
+    class Unplugged(Imperfection):
+        wire: str | None
+
+    assert Unplugged("red").in_words == repr(Unplugged("red"))
+    assert Unplugged(None).in_words == repr(Unplugged(None))

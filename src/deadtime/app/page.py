@@ -180,7 +180,7 @@ class Page:
         self._jobs.begin(limit, done, lambda error: failed(str(error)), job, *given)
 
     def close(self) -> None:
-        """The session is over: release its objects, also where the page itself lives on.
+        """The session is over: release its objects, even if something still refers to the page.
 
         Its document is gone, so no widget is touched.
         """

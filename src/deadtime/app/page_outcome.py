@@ -51,7 +51,7 @@ _WORST = 1e9  # a ratio of costs beyond which a run just grows
 class ProblemOutcome(ProblemRuns):
     """The runs of a problem's laws, and the measure of the oracle (immutable).
 
-    The oracle knows the signal in advance; None where no signal is known in advance.
+    `oracle` is None where no signal is known in advance.
     """
 
     oracle: float | None

@@ -76,8 +76,8 @@ class Sessions:
         """Release the memory of all sessions that ended a moment ago."""
         self._sweeps = False
         gc.collect()
-        with suppress(OSError, AttributeError):  # glibc keeps free memory for itself
-            ctypes.CDLL(None).malloc_trim(0)
+        with suppress(OSError, AttributeError):  # not glibc
+            ctypes.CDLL(None).malloc_trim(0)  # glibc keeps freed memory until it is trimmed
 
 
 def _unwatch(view: pmui.Page) -> None:

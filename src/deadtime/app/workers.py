@@ -73,7 +73,7 @@ class Workers:
         """Run a job, for `limit` seconds at most, when there is a process for it.
 
         The job is a function of a module, its arguments and its result plain data. With
-        `on_progress` it gets a keyword ``tell=``; plain data that it calls that with arrive at
+        `on_progress` it gets a keyword ``tell=``; what it passes to `tell` (plain data) is given to
         `on_progress`, in a thread. The future fails with an `ArgumentError` if the job takes
         longer, its process dies, or it raises an error.
         """

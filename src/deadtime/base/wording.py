@@ -199,17 +199,21 @@ def file_name(name: str) -> str:
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Names of laws as parts of file names, numbered if some would be equal.
+    """Names of laws as parts of file names, with a number if an earlier law has the same.
 
     Examples
     --------
-    >>> file_names(["+ only", "- only"])
-    {'+ only': '1-only', '- only': '2-only'}
+    >>> file_names(["+ only", "- only", "mean"])
+    {'+ only': 'only', '- only': 'only-2', 'mean': 'mean'}
     """
-    found = {name: file_name(name) for name in names}
-    if len(set(found.values()) - {""}) == len(found):
-        return found
-    return {
-        name: f"{number}-{short}".rstrip("-")
-        for number, (name, short) in enumerate(found.items(), 1)
-    }
+    chosen: dict[str, str] = {}
+    for name in dict.fromkeys(
+        names
+    ):  # no name depends on later ones: a further law renames no file
+        short = free = file_name(name) or "law"
+        number = 1
+        while free in chosen.values():
+            number += 1
+            free = f"{short}-{number}"
+        chosen[name] = free
+    return chosen

@@ -60,7 +60,7 @@ def certify(
     lost_samples: int = 0,
     uncertain: bool = False,
     least_dwell_time: bool = False,
-    mode: int | None = None,
+    mode: int | str | None = None,
     longest_mode_lag: bool = False,
     explain: options.Flag = False,
     out: options.File = None,
@@ -106,7 +106,8 @@ def certify(
         Search for the least dwell time instead: print the shortest that is proved and the longest
         that is refuted. Several dwell times, of the problem or given, are scaled together.
     mode
-        With --least-dwell-time: vary the dwell time of this mode alone, and keep the others.
+        With --least-dwell-time: vary the dwell time of this mode alone, by its number or name, and
+        keep the others.
     longest_mode_lag
         Search for the longest mode detection delay instead: print the longest that is proved and
         the shortest that is refuted.
@@ -129,8 +130,9 @@ def certify(
                 "one per mode, which are scaled together), --decay-rate, --delays, --lost-samples, "
                 "--uncertain and --out."
             )
-        signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, mode, chatter, at)
-        return least_dwell_times(chosen, law, signals, mode, json_output)
+        varied = options.mode_of(chosen, mode)
+        signals = options.kept_by_search(chosen, dwell_time, maximum_dwell, varied, chatter, at)
+        return least_dwell_times(chosen, law, signals, varied, json_output)
     if mode is not None:
         raise ArgumentError("--mode needs --least-dwell-time, whose search varies its dwell time.")
     if longest_mode_lag:

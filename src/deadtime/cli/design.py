@@ -42,7 +42,7 @@ def design(
     *,
     delay_margin: float | None = None,
     law: Kind = "averaged",
-    mode: int | None = None,
+    mode: int | str | None = None,
     step: options.Step = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,
@@ -68,7 +68,7 @@ def design(
     law
         The family of laws: averaged, or mean with the mean of the gains.
     mode
-        Design one mode alone, for its own exact law; all modes by default.
+        Design one mode alone, by its number or name, for its own exact law; all modes by default.
     longest_step
         Allow longer periods, up to this, seconds.
     decay_rate
@@ -76,11 +76,11 @@ def design(
     input_limit
         Bound of |u|, one number or one for each input, separated by commas.
     initial
-        Initial states of the bound: one number for every |x(0)| up to it, or half the width of a
-        box for each state, separated by commas; 1 by default.
+        Initial states for which |u| stays below --input-limit: one number for every |x(0)| up to
+        it, or half the width of a box for each state, separated by commas; 1 by default.
     probability
-        Probability of the bound, for a normal x(0) whose standard deviations --initial gives; with
-        --noise the fraction of the time, 0.99 by default.
+        Probability that |u| stays below --input-limit, for a normal x(0) whose standard deviations
+        --initial gives; with --noise the fraction of the time, 0.99 by default.
     noise
         Bound |u| under the stationary noise of the file's imperfections, of kinds
         white-disturbance and noise, instead of from initial states.
@@ -91,7 +91,6 @@ def design(
     out
         Path of both files, without suffix.
     """
-    from deadtime.base.checks import index
     from deadtime.base.files import replacing
     from deadtime.problems.switching_assumptions import step_of
     from deadtime.reports.design import design_record, plot_designs, problem_sections
@@ -108,8 +107,9 @@ def design(
             "with deadtime loop."
         )
     plant, gains = chosen.plant, chosen.gains
-    if mode is not None:
-        one = slice(index("mode", mode, plant.modes), mode + 1)
+    held = options.mode_of(chosen, mode)
+    if held is not None:
+        one = slice(held, held + 1)
         plant = plant.like(plant.A[one], plant.B[one], plant.delays[one])
         gains = gains[one]
     period = step_of(chosen, step)
@@ -134,15 +134,15 @@ def design(
             weight=chosen.weight,
             progress=advance,
         )
-    title = chosen.name if mode is None else f"{chosen.name}, {chosen.modes[mode]}"
+    title = chosen.name if held is None else f"{chosen.name}, {chosen.modes[held]}"
     with replacing(written[0], "out") as place:
-        sections = problem_sections(result, law, chosen.plant, chosen.gains, mode)
+        sections = problem_sections(result, law, chosen.plant, chosen.gains, held)
         place.write_text(sections, encoding="utf-8")
     save_figure(plot_designs({title: result}), written[1])
     if json_output:
         print_json(design_record(result), written)
     else:
-        _print(chosen, result, mode)
+        _print(chosen, result, held)
         print("\nGains and law: {}, chart: {}".format(*written))
     return 0 if result.reached else 1
 

@@ -71,8 +71,8 @@ def monte_carlo(
     dwell_time
         Shortest sojourn, seconds; by default the problem's dwell time, or its signal's.
     mean_sojourn
-        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time if that
-        is not longer.
+        Mean of whole sojourns, seconds; by default the problem's, or twice the dwell time if it
+        states none, or none longer than the dwell time.
     seed
         Seed of the signals.
     step

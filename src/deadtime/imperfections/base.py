@@ -73,9 +73,12 @@ class Imperfection(Frozen, ABC):
     @property
     def in_words(self) -> str:
         """Its name and numbers for headings and sentences."""
+        if not self.words:
+            return repr(self)
         own: Any = self
-        numbers = {one.name: number_text(getattr(self, one.name)) for one in fields(own)}
-        return self.words.format(**numbers) if self.words else repr(self)
+        return self.words.format(
+            **{one.name: number_text(getattr(self, one.name)) for one in fields(own)}
+        )
 
 
 def number_text(value: ArrayLike) -> str:

@@ -23,7 +23,7 @@ Future = tuple[SwitchedSystem, Float[np.ndarray, "system m n"], Float[np.ndarray
 class ConstantForecast(TableLaw):
     """A law of the weighted predictions Σ_s w_s K_s P_s, in each of which one system s is held.
 
-    With a dwell time the plant's mode is held for the rest of it before.
+    With a dwell time the prediction first holds the plant's present mode for the rest of it.
     """
 
     dwell_time: float | None = field(default=None, init=False)

@@ -170,7 +170,7 @@ def table_ages(model: SwitchingModel, step: float, requested: int | None, most: 
     if ages is not None and ages > most:
         raise ArgumentError(
             f"step = {step:g} s needs a table of more than {most:,} ages, for which there is no "
-            "room, so long are the model's sojourns: lengthen it, or give `ages`, the most to "
-            "distinguish."
+            "room, so long are the model's sojourns: lengthen the step, or give `ages`, the most "
+            "to distinguish."
         )
     return ages

@@ -104,7 +104,7 @@ class MeanPredictor(ConstantForecast):
 
     @property
     def _future(self) -> Future:
-        """The one mode that may follow, with its delays."""
+        """The mean plant, its gain, and weight 1."""
         A, B = self.mean
         centre = self.plant.like(A[None], B[None], self.plant.mean().delays)
         return centre, self.gain[None], np.ones(1)

@@ -52,7 +52,7 @@ class OptimalPredictor(TableLaw):
     :math:`\xi_k` and :math:`u_k` that appear for :math:`N = 1` are included. `ExpectedPredictor`
     averages the best inputs of all future signals; this law also weighs the cost of a wrong
     forecast and uses later measurements. For similar modes the two cost nearly the same; for modes
-    that differ much this one may have a finite cost where the other has none.
+    that differ much this one may have a finite cost where that of the other is infinite.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@
     run = problem.simulate("averaged")
 
 Each is the commented problem file of its name, which `deadtime init` writes, with a longer signal
-and what the source prints.
+and the numbers that the source prints.
 
 None of the sources publishes its switching signal. Each is drawn here at random with the source's
 dwell time; of the seeds 0 to 200 the one with the median ∫|x|² under the averaged law is taken.

@@ -1,6 +1,6 @@
 """Assumptions on the switching signals of a problem: dwell time and mean sojourn, with sources.
 
-Certificates, the theorem's bound, Monte Carlo and reports all cover these signals.
+Certificates, the theorem's bound, Monte Carlo and reports all take the signals from here.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ NAMES = ("paper", "three-mode", "follower")
 
 
 def is_named(place: Path) -> bool:
-    """Whether a problem is asked for by its name, rather than by its file.
+    """Whether a path is the name of a problem rather than a file.
 
     Raises
     ------

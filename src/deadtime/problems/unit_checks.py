@@ -61,8 +61,8 @@ and the law does not see them. Is it in seconds? Shorten it.
 def disagreement_of(result: Comparison) -> list[str]:
     """A sentence if the growth rates of the spectrum and of a run in one mode disagree.
 
-    Only if one of them is positive: a decaying run ends in round-off. Rates of 0 are left out, to
-    which no rate is close relatively.
+    Only if one of them is positive: a decaying run ends in round-off. Rates of 0 are left out:
+    a relative difference from 0 means nothing.
     """
     names, lead = result.problem.modes, result.problem.laws[result.lead]
     if is_pushed(lead, ()):  # with a reference |x| says nothing about growth

@@ -184,17 +184,19 @@ class Summary:
             wins = f"{100.0 * one.best:.1f} %"
             shares = "{:.1f} to {:.1f} %".format(*(100.0 * end for end in one.best_interval))
             ratio = compact(one.relative), interval_text(*one.relative_interval)
-            median = median, interval_text(*one.interval)
-            rows.append([law, low, *median, high, wins, shares, *ratio, f"{one.grew:,}"])
-        headings = ["law", "5 %", "median", _INTERVAL, "95 %", "wins", _INTERVAL]
+            against = [wins, shares, *ratio] if self.compares else []
+            interval = interval_text(*one.interval)
+            rows.append([law, low, median, interval, high, *against, f"{one.grew:,}"])
+        against = ["wins", _INTERVAL, f"/ {self.reference}", _INTERVAL] if self.compares else []
+        headings = ["law", "5 %", "median", _INTERVAL, "95 %", *against, "growing runs"]
         measure = "∫|r - y|" if self.measure == "iae" else "the cost"
-        remarks = [
-            f"deadtime: {measure} of {self.scenarios:,} random signals, the same for all laws;",
-            *self.notes,
-            "Those of shares are Wilson's.",
-        ]
-        headings += [f"/ {self.reference}", _INTERVAL, "growing runs"]
-        return booktabs(headings, rows, remarks)
+        about, (ratio, intervals) = f"{measure} of {self.scenarios:,} random signals", self.notes
+        if self.compares:
+            about += ", the same for all laws"
+            remarks = [ratio, intervals, "Those of shares are Wilson's."]
+        else:
+            remarks = [intervals]
+        return booktabs(headings, rows, [f"deadtime: {about};", *remarks])
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary for each law for JSON, which knows no infinity: None where there is one."""

@@ -56,7 +56,11 @@ class _Measured(Section):
     covariance: Annotated[Matrix | None, Shape("(n, n)", [[0.1, 0.0], [0.0, 0.1]])] = Field(
         None, description="Covariance of the initial estimate; every run draws its own."
     )
-    model: Annotated[Literal["modes", "mean"] | Mode, ModeKey(("modes", "mean"))] = Field(
+    model: Annotated[
+        Literal["modes", "mean"] | Mode,
+        ModeKey(("modes", "mean")),
+        Shape('"modes", "mean", or a mode by its number or name', "mean"),
+    ] = Field(
         "modes",
         description='The plant that it predicts with: "modes" the mode that is measured at each '
         'sample; "mean" the mean of all modes; or one mode, by its number or its name. The last '
@@ -193,7 +197,7 @@ class ModeFilterSection(Section):
         None, description="Probability of each mode at time 0; that of [switching] by default."
     )
     ages: int | None = Field(
-        None, description="Largest age (samples) that is distinguished where age matters."
+        None, description="Largest number of ages (samples) that are distinguished, if age matters."
     )
     allow_alike: bool = Field(False, description="Accept modes that are indistinguishable.")
 

@@ -29,7 +29,8 @@ def promise_of(
 ) -> SignalClass:
     """The class of signals that a file states: in [signal] or else in [switching].
 
-    Modes change as in [signal], or at samples if a Markov chain of that period draws it.
+    Modes change as in [signal], or at samples if it is drawn from a Markov chain whose period is a
+    multiple of `step`.
     """
     signal, chatter = file.signal, 1
     stated: Promise = getattr(signal, "dwell_time", None), None, None

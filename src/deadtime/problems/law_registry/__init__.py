@@ -153,7 +153,7 @@ def the_law(name: str) -> str:
 def the_problem_law(name: str) -> str:
     """A law's name in a sentence about a problem, whose file may give a law any name.
 
-    Default laws of files without knowledge of the future have the noun of `the_law`.
+    A law that files run by default and that does not know the future gets the noun of `the_law`.
 
     Examples
     --------

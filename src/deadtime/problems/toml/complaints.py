@@ -261,13 +261,14 @@ def key_in_words(path: Keys) -> str:
 
     Examples
     --------
-    >>> key_in_words(("law", 0, "kind")), key_in_words(("plant", "A"))
-    ('[[law]] 1, kind', 'plant.A')
+    >>> key_in_words(("signal", "regions", 0, "mode")), key_in_words(("plant", "A"))
+    ('[[signal.regions]] 1, mode', 'plant.A')
     """
-    if len(path) < 2 or not isinstance(path[1], int):
-        return ".".join(map(str, path))
-    table, key = f"[[{path[0]}]] {path[1] + 1}", ".".join(map(str, path[2:]))
-    return f"{table}, {key}" if key else table
+    for end, number in enumerate(path):
+        if isinstance(number, int):
+            table, key = ".".join(map(str, path[:end])), ".".join(map(str, path[end + 1 :]))
+            return f"[[{table}]] {number + 1}" + (f", {key}" if key else "")
+    return ".".join(map(str, path))
 
 
 def _kind_of(name: str) -> str:
@@ -293,7 +294,8 @@ def _sentence(group: Sequence[tuple[Any, Place]], data: Any) -> str:
         expected, tag = context["expected_tags"], _short(context["tag"])
         return f"{_kind_of(name)} must be one of {expected}, got {tag}."
     given = _at(data, place.path)
-    shape = None if place.field is None else note_of(place.field, Shape)
+    # The shape on a table is that of its values.
+    shape = None if not place.field or kind == "dict_type" else note_of(place.field, Shape)
     if shape is not None and (sentence := _misshapen(name, str(place.path[-1]), given, shape)):
         return sentence
     if place.tables and kind in (*_TABLE, "list_type"):

@@ -41,18 +41,6 @@ class ModeKey:
     words: tuple[str, ...] = ()
 
 
-if TYPE_CHECKING:
-    Mode = int  # a number once `with_mode_numbers` has been applied
-else:
-    Mode = Annotated[int | str, ModeKey()]
-
-
-class Section(BaseModel):
-    """A table that refuses keys it does not know."""
-
-    model_config = ConfigDict(extra="forbid", strict=False, title=None)
-
-
 @dataclass(frozen=True, eq=False)
 class Shape:
     """A note on a field whose value is a list (immutable).
@@ -82,6 +70,18 @@ class Shape:
     def axes(self) -> int:
         """Depth of its lists."""
         return np.ndim(self.example)
+
+
+if TYPE_CHECKING:
+    Mode = int  # a number once `with_mode_numbers` has been applied
+else:
+    Mode = Annotated[int | str, ModeKey(), Shape("the number of a mode, or its name in [plant]", 0)]
+
+
+class Section(BaseModel):
+    """A table that refuses keys it does not know."""
+
+    model_config = ConfigDict(extra="forbid", strict=False, title=None)
 
 
 class DistributionSection(Section):

@@ -79,10 +79,10 @@ class TomlText:
         """The error with its line: that of the key it starts with, or of the section."""
         lines = key_lines(self.text)
         key = re.split(r"[ \[:]", str(error), maxsplit=1)[0]  # messages begin with their key
-        path = (*error.path, key) if (*error.path, key) in lines else error.path
         table = key_in_words(error.path)
         where = f", {table if table.startswith('[[') else f'[{table}]'}" if table else ""
-        return self.kind(f"{at_line(self.source, line_of(lines, path))}{where}: {error}")
+        line = line_of(lines, (*error.path, *key.split(".")))
+        return self.kind(f"{at_line(self.source, line)}{where}: {error}")
 
 
 def read_toml(

@@ -131,7 +131,7 @@ def _minimax(
     dwell_time: float | None,
     allow_unstable: bool,
 ) -> Law:
-    """The law of minimax weights, cached since cells of a study differ in the switching only."""
+    """The law of minimax weights, cached: cells of one plant share it, whatever their switching."""
     return AveragedPredictor.minimax(
         SwitchedSystem(np.array(A), np.array(B), np.array(delays)),
         np.array(gains),
@@ -227,7 +227,9 @@ class ExpectedLaw(LawSection):
     needs: ClassVar = ("model",)
 
     kind: Literal["expected"]
-    ages: int | None = Field(None, description="Largest number of ages (samples) in the table.")
+    ages: int | None = Field(
+        None, description="Largest number of ages (samples) that are distinguished, if age matters."
+    )
 
     def law(self, setting: LawSetting) -> Law:
         assert setting.model is not None
