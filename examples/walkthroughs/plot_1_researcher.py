@@ -9,7 +9,7 @@ thought. Here it is *truncated predictor feedback* (B. Zhou, Z. Lin and G.-R. Du
 so that it needs no memory. After this page you can write such a law, compare it over random
 switching signals, and prove or refute it.
 
-**Source.** The plant is the example of arXiv 2503.16208. Ours are the comparison and its numbers.
+**Source.** The plant is the example of arXiv 2503.08446. Ours are the comparison and its numbers.
 """
 
 from dataclasses import dataclass

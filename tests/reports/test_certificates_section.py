@@ -11,7 +11,7 @@ import deadtime as dt
 from deadtime.problems import Problem
 from deadtime.problems.comparison import compare
 from deadtime.problems.switching_assumptions import dwell_time_of
-from deadtime.reports.certificate_tables import delay_sentence
+from deadtime.reports.certificate_tables import Judged, certificate_rows, delay_sentence
 from deadtime.reports.report import certificates_section, steps_of_section
 
 LIMIT = 0.64
@@ -152,3 +152,11 @@ def test_certificates_are_asked_about_whole_periods():
     for sojourn, dwell in ((0.07, 0.07), (0.0794, 0.07), (0.004, 0.004)):
         signal = dt.SwitchingSignal([0.0, sojourn], [0, 1], end=2.0 * sojourn)
         assert dwell_time_of(problem, signal).value == dwell
+
+
+@pytest.mark.parametrize(
+    ("rate", "text"), [(2.03518, "2.03"), (0.29996, "0.299"), (0.3, "0.3"), (0.0, "> 0")]
+)
+def test_a_proved_decay_rate_is_rounded_towards_zero(rate, text):
+    proved = dt.Certificate(True, "", rate, proven=True)
+    assert certificate_rows([Judged("law", proved, None, None)])[0][2] == text

@@ -170,5 +170,5 @@ def test_an_observer_that_is_slower_than_its_loop_is_said_to_be(poles, slow):
     still = {"signal": dt.SwitchingSignal.constant(0), "modes": ("only",), "model": None}
     text = " ".join(sentences(plant=plant, gains=law.gains, laws={"fed": fed}, step=0.05, **still))
     assert ("The observer is slower than the loop that it serves: held in only its error decays at "
-            "−0.100 /s, the loop on the true state at −0.842 /s" in text) == slow  # fmt: skip
+            "0.100 /s, the loop on the true state at 0.842 /s" in text) == slow  # fmt: skip
     assert ("observer is slower" in text) == slow

@@ -89,6 +89,21 @@ def inwards(value: float, nominal: float) -> str:
     return f"{rounded:f}"
 
 
+def rounded(value: float, digits: int = 3, *, up: bool = False) -> str:
+    """A number rounded down or up, so that a text claims no more than is proved.
+
+    Examples
+    --------
+    >>> rounded(2.03518), rounded(0.3), rounded(0.13661, up=True), rounded(1.2999e-7, 2)
+    ('2.03', '0.3', '0.137', '1.2e-07')
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    short = Decimal(repr(float(value)))
+    unit = Decimal(1).scaleb(short.adjusted() - digits + 1)
+    return f"{float(short.quantize(unit, ROUND_CEILING if up else ROUND_FLOOR)):.{digits}g}"
+
+
 def error_percent(value: float, nominal: float) -> str:
     """The distance of a value from the nominal one in percent, rounded towards 0.
 

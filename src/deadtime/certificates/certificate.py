@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from deadtime.base.checks import count, index
 from deadtime.base.errors import ArgumentError
-from deadtime.base.wording import number_of
+from deadtime.base.wording import number_of, rounded
 from deadtime.certificates.proof import Check, Evidence, StretchEvidence, save_evidence
 from deadtime.certificates.proof.evidence import Setting
 from deadtime.certificates.proof.stretches import decay_rate
@@ -79,7 +79,7 @@ class Certificate:
     def of(cls, evidence: Evidence | StretchEvidence, checked: Check) -> Certificate:
         """A certificate of stability from evidence that passed the check."""
         rate = decay_rate(evidence)
-        pace = f"decays at least like exp(−{round_down(rate)} t)" if rate else "decays"
+        pace = f"decays at least like exp(−{rounded(rate, 4)} t)" if rate else "decays"
         setting, plants = evidence.setting, evidence.setting.plants
         sets = setting.delays.claim if setting.family.ranges else ""
         sets += "" if plants.known else f" and every plant in the {plants.kind}"
@@ -143,16 +143,10 @@ class Certificate:
         return f"Certificate(stable={self.stable}{proof}: {self.message})"
 
 
-def round_down(rate: float, digits: int = 4) -> str:
-    """A positive rate, rounded towards 0: a text never claims more than is proved."""
-    unit = 10.0 ** (math.floor(math.log10(rate)) - digits + 1)
-    return f"{math.floor(rate / unit) * unit:.{digits}g}"
-
-
 def pace_of(evidence: Evidence | StretchEvidence) -> str:
     """How a loop is proved to decay, as the end of a sentence."""
     rate = decay_rate(evidence)
-    return f" decays at least like exp(−{round_down(rate, 6)} t)" if rate else " decays to zero"
+    return f" decays at least like exp(−{rounded(rate, 6)} t)" if rate else " decays to zero"
 
 
 def not_covered(signals: SignalClass) -> str:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from deadtime.base.checks import as_floats, number, positive, reporter
 from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.frozen import Frozen
+from deadtime.base.wording import rounded
 from deadtime.feedback import Law
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_bounds, growth_rate, least_growth
@@ -361,12 +362,12 @@ def stability_margin(
 
 def _message(found: Bracket) -> str:
     kind = "proved stable" if found.certificate.proven else "stable by numerical evidence"
-    text = f"At {found.certified:.5g} {kind} for every admissible signal"
+    text = f"At {rounded(found.certified, 5)} {kind} for every admissible signal"
     if found.refuted is None:
         text += "; nothing higher was refuted."
         text += "" if found.open else " Look higher."
     else:
-        text += f", at {found.refuted:.5g} not: a growing signal is known."
+        text += f", at {rounded(found.refuted, 5, up=True)} not: a growing signal is known."
     if found.open is not None:
         text += f" No answer at {found.open[0]:.5g}: {found.open[1]}"
     if found.again:

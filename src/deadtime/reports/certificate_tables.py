@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from functools import partial
 from operator import call
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from deadtime.base.checks import positive, reporter
 from deadtime.base.errors import ArgumentError, SolverError
 from deadtime.base.json_records import record
 from deadtime.base.threads import in_order
-from deadtime.base.wording import as_rate, compact, number_of, sentence_of, with_names
+from deadtime.base.wording import as_rate, compact, number_of, rounded, sentence_of, with_names
 from deadtime.certificates import TheoremBound, theorem_bound
 from deadtime.certificates.proof.delays import Delays
 from deadtime.certificates.theorem.bound import stated_forms
@@ -212,7 +211,7 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     rows = []
     for one in judged:
         rate = one.certificate and one.certificate.decay_rate
-        decay = "–" if rate is None else f"{rate:.3g}" if rate else "> 0"
+        decay = "–" if rate is None else rounded(rate) if rate else "> 0"
         growth = math.inf if one.worst is None else one.worst.growth_rate
         rows.append((
             one.law,
@@ -330,20 +329,12 @@ def margin_text(margin: DelayMargin | None) -> str:
         return "none"
     if margin.differ:
         ends = margin.nominal - margin.lower, margin.upper - margin.nominal
-        low, high = (sign + _shorten(x, ROUND_FLOOR) for sign, x in zip("−+", ends, strict=True))
+        low, high = (sign + rounded(x, 4) for sign, x in zip("−+", ends, strict=True))
     else:
-        low, high = _shorten(margin.lower, ROUND_CEILING), _shorten(margin.upper, ROUND_FLOOR)
+        low, high = rounded(margin.lower, 4, up=True), rounded(margin.upper, 4)
     if margin.lower == 0.0:
         return f"up to {high}" if math.isfinite(margin.upper) else "any"
     return f"{low} to {high}" if math.isfinite(margin.upper) else f"from {low}"
-
-
-def _shorten(value: float, rounding: str) -> str:
-    """To four digits, rounded up or down."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    exact = Decimal(str(float(value)))
-    return f"{float(exact.quantize(Decimal(1).scaleb(exact.adjusted() - 3), rounding)):.4g}"
 
 
 def delay_sentence(problem: Problem) -> list[str]:
@@ -416,6 +407,9 @@ def bound_rows(
 
         return write
 
+    def proved(rate: float) -> str:  # to the digits of `compact`
+        return compact(float(rounded(rate, 3 if rate >= 1e-3 else 2)))
+
     quantities = {
         "distance ε": lambda bound: f"{bound.epsilon:.4g}",
         "allowed distance ε*": large("epsilon_star", "log10_epsilon_star"),
@@ -427,7 +421,7 @@ def bound_rows(
         "δ₂(ε)": lambda bound: compact(bound.delta2(bound.epsilon)),
         "μ, 1/s": lambda bound: "–" if bound.mu is None else compact(bound.mu),
         "ρ": large("rho", "log10_rho"),
-        "ξ, 1/s": lambda bound: "–" if bound.xi is None else compact(bound.xi),
+        "ξ, 1/s": lambda bound: "–" if bound.xi is None else proved(bound.xi),
         "ε < ε*": lambda bound: "yes" if bound.holds else "no",
     }
     rows = []
@@ -450,7 +444,7 @@ def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
     if sharp.holds:
         return (
             f"The theorem proves this loop stable, updated continuously: |x| decays at least as "
-            f"e^(−{sharp.xi:.2g} t), for every signal with the dwell time.{ratio}"
+            f"e^(−{rounded(sharp.xi, 2)} t), for every signal with the dwell time.{ratio}"
         )
     return (
         f"The theorem says nothing about this loop: its modes and gains differ by ε = "

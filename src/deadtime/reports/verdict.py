@@ -150,8 +150,8 @@ def _slow_observer(result: Comparison) -> list[str]:
     i = max(slow, key=lambda mode: law.observer.rates[mode] - loop[mode])
     return [
         f"The observer is slower than the loop that it serves: held in {result.problem.modes[i]} "
-        f"its error decays at {as_rate(law.observer.rates[i])} /s, the loop on the true state at "
-        f"{as_rate(loop[i])} /s. A larger process noise or faster poles speed it up."
+        f"its error decays at {compact(-law.observer.rates[i])} /s, the loop on the true state at "
+        f"{compact(-loop[i])} /s. A larger process noise or faster poles speed it up."
     ]
 
 
@@ -207,7 +207,7 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
         return "not stable", f"held in {where} it neither grows nor decays"
     if not unstable:
         slowest = int(np.argmax(growth))
-        rate = f" at {as_rate(growth[slowest])} /s" if math.isfinite(growth[slowest]) else ""
+        rate = f" (at {compact(-growth[slowest])} /s)" if math.isfinite(growth[slowest]) else ""
         return "stable", f"held in any one mode it decays, slowest in {names[slowest]}{rate}"
     rates = []
     for i in unstable:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import rounded
 from deadtime.certificates.theorem.constants import (
     Constants,
     FunctionalConstants,
@@ -242,7 +243,7 @@ def _message(epsilon: float, log10_star: float, holds: bool, mu: float | None) -
             f"ε = {epsilon:.4g} < {star}, but (71) fails, so μ, ρ and ξ do not exist: "
             "this ε* lacks the + 1 of D ν₁ + 1."
         )
-    return f"ε = {epsilon:.4g} < {star}: the loop decays, with ξ = {0.5 * mu:.4g} 1/s."
+    return f"ε = {epsilon:.4g} < {star}: the loop decays, with ξ = {rounded(0.5 * mu, 4)} 1/s."
 
 
 def _log_distance(eps: float) -> float:

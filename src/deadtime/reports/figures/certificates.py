@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 
 from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain, visible
+from deadtime.base.wording import rounded
 
 if TYPE_CHECKING:
     from deadtime.certificates import WorstCase
@@ -87,7 +88,7 @@ def _chart_panel(panel: Axes, chart: StabilityChart, name: str) -> None:
             )  # fmt: skip
         inside = certified - low > 0.09 * (high - low)
         panel.annotate(
-            f"{certified:.3g}", (i, certified), (0.0, -2.0 if inside else 2.0),
+            rounded(certified), (i, certified), (0.0, -2.0 if inside else 2.0),
             textcoords="offset points", ha="center", va="top" if inside else "bottom",
             fontsize=7.5, color="#1b1f24",
         )  # fmt: skip
