@@ -173,7 +173,7 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     hidden = run.mode_belief is not None and run.mode_belief.bank is None
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
-        # Inputs of an unstable filter's own would grow its round-off, so that most calls report some.
+        # Under its own inputs an unstable controller's round-off grows: most calls report others.
         applied, u = inputs_of(run, rng, amplitude, k, k % 20 != 3)
         x = motion.next(mode, u, 1 if hidden else 1 + missed)
         if not early and k:
