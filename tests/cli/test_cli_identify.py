@@ -58,10 +58,13 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
 
 def test_a_delay_beyond_the_range_is_not_found_and_the_exit_code_says_so(folder, capsys):
     out = folder / "short.toml"
-    code, text, _ = said([folder / "log.csv", "--one-mode", "--delay", 0, 0.25, "--out", out], capsys)
+    code, text, _ = said(
+        [folder / "log.csv", "--one-mode", "--delay", 0, 0.25, "--out", out], capsys
+    )
     assert code == 1
     assert text.replace("\n", " ").startswith(
-        "Delay not found: the best fit is at the end of the range 0 … 0.25 s. Repeat with --delay 0 3"
+        "Delay not found: the best fit is at the end of the range 0 … 0.25 s. "
+        "Repeat with --delay 0 3"
     )
     assert text.partition("\ndelay")[2].split()[:2] == ["0.25", "disturbance[0][0,0]"]
     kept = out.read_text(encoding="utf-8")

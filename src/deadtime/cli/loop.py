@@ -92,8 +92,9 @@ def loop(
     sentences = (sentence_of(margin.message) for margin in (view.gain, view.delay))
     growth, names = view.gain.growth.tolist(), chosen.modes
     judged, why = held_in_words(chosen, growth)
+    held = "With each mode held, t" if len(names) > 1 else "T"
     print_answer(
-        f"With each mode held, the loop under the law “{name}” is {judged}: {why}.",
+        f"{held}he loop under the law “{name}” is {judged}: {why}.",
         chosen.title,
         "",
     )

@@ -191,7 +191,8 @@ def robustness(
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     # The spectrum knows no imperfections.
-    ignoring = "ignoring the imperfections of every run, " if setting.imperfections else ""
+    left = ", ".join(one.in_words for one in setting.imperfections)
+    ignoring = f"without {left}: " if left else ""
     sentences = [sentence_of(ignoring + part.message) for part in (delay, *alone, gain) if part]
     sentences += [sentence_of(reasons[margin]) for margin in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]

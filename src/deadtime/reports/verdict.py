@@ -59,11 +59,11 @@ def verdict(result: Comparison) -> list[str]:
     settled = not any(run.message and not run.diverged for run in result.held)
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _names_of(result, DelayedStateFeedback)[:1]]
-    singles = _names_of(result, SingleModePredictor)
-    sentences += [_single_modes(result, singles)] if singles else []
-    sentences += [
-        _against_the_oracle(result, name) for name in _names_of(result, ExactPredictor)[:1]
-    ]
+    if result.problem.plant.modes > 1:  # with one mode these laws are all the same
+        singles = _names_of(result, SingleModePredictor)
+        sentences += [_single_modes(result, singles)] if singles else []
+        oracles = _names_of(result, ExactPredictor)[:1]
+        sentences += [_against_the_oracle(result, name) for name in oracles]
     return [*sentences, *disagreement_of(result)]
 
 
@@ -89,7 +89,7 @@ def _headline(result: Comparison) -> str:
         count = f"{switches} switches" if switches > 1 else "one switch"
         setting = (
             f"on a signal with {count} in {problem.horizon:g} s "
-            f"(dwell time {float(f'{signal.dwell_time:.2g}'):g} s)"
+            f"(shortest sojourn in this run {float(f'{signal.dwell_time:.2g}'):g} s)"
         )
     law = the_problem_law(result.lead)
     law = law[0].upper() + law[1:]
@@ -198,6 +198,12 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
     ('unstable', 'held in brake it grows at +0.250 /s (in the other modes it decays)')
     """
     names, least = problem.modes, least_growth(problem.plant)
+    if len(growth) == 1:
+        rate = f" at {as_rate(growth[0])} /s" if math.isfinite(growth[0]) else ""
+        if abs(growth[0]) <= least:
+            return "not stable", "it neither grows nor decays"
+        grows = growth[0] > least
+        return ("unstable", f"it grows{rate}") if grows else ("stable", f"it decays{rate}")
     if not growth:
         return "not judged", "it has no growth rates with a mode held"
     unstable = [i for i, rate in enumerate(growth) if rate > least]
