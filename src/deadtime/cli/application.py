@@ -17,7 +17,14 @@ from io import TextIOWrapper
 from itertools import islice
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Group, MissingArgumentError, UnusedCliTokensError
+from cyclopts import (
+    App,
+    CycloptsError,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    UnusedCliTokensError,
+)
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
@@ -59,6 +66,7 @@ app = App(
     "130 interrupted.",
     version=__version__,
     group_commands=_OPTIONS,
+    default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
 

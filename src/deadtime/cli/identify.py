@@ -70,7 +70,7 @@ def identify(
     Parameters
     ----------
     logs
-        CSV files with columns t (seconds), x1, x2, …, u1, u2, … and the mode.
+        CSV files with columns t (or time, seconds), x1, x2, …, u1, u2, … and the mode.
     modes
         Column of the mode; for modes that were not logged their number, or a range such as 1..3.
     one_mode

@@ -36,9 +36,9 @@ HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay mar
 LEGEND = (
     "Stability: yes, for every such signal; no, |x| grows along one of them; no answer, neither "
     "was found. Decay: every run falls at least this fast. Proof: yes, of stability; witness, of a "
-    "signal along which |x| grows; both with all rounding errors included. Growth: along the worst signal found. "
-    "Delay margin: the true delays for which the law keeps every constant mode stable; of several "
-    "delays, their common change."
+    "signal along which |x| grows; both with all rounding errors included. Growth: along the worst "
+    "signal found. Delay margin: the true delays for which the law keeps every constant mode "
+    "stable; of several delays, their common change."
 )
 
 
