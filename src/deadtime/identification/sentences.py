@@ -50,7 +50,8 @@ def sentences_of(
     why : there is no switching model
     """
     repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
-    sentences = [*_delays(estimate, recording), *_levels(estimate, recording, rest, states)]
+    sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
+    sentences += _levels(estimate, recording, rest, states)
     sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
     sentences += _period(estimate, recording)
     for name in recording.absent:
@@ -180,6 +181,23 @@ def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
     if not layout.per_mode:
         return inputs
     return [f"{name} in mode {mode}" for mode in recording.modes for name in inputs]
+
+
+def _first_order(estimate: Estimate, recording: Recording) -> list[str]:
+    """K, τ and θ of K e^(−θ s)/(τ s + 1) in each stable mode of a plant of one state and input."""
+    plant = estimate.plant
+    if plant.states > 1 or plant.inputs > 1 or not_found(estimate, recording).any():
+        return []
+    sentences = []
+    for mode, A, B, D in zip(recording.modes, plant.A, plant.B, plant.delays, strict=True):
+        a, b = float(A[0, 0]), float(B[0, 0])
+        if a < 0.0:
+            where = f" in mode {mode}" if plant.modes > 1 else ""
+            sentences.append(
+                f"As a first-order process{where}: gain {-b / a:.3g}, time constant "
+                f"{-1.0 / a:.3g} s, dead time {float(D[0]):.3g} s."
+            )
+    return sentences
 
 
 def _levels(

@@ -10,6 +10,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import amount, as_rate, compact, sentence_of
 from deadtime.feedback import Law
+from deadtime.imperfections import StepDisturbance
 from deadtime.laws import (
     DelayedStateFeedback,
     ExactPredictor,
@@ -24,7 +25,7 @@ from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.metrics import SETTLES, settling_text
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import why_untested
+from deadtime.simulation.outcome import pushes, why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.held_mode_checks import why_left_out
@@ -303,11 +304,19 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["cost"]),
             compact(row["peak"]),
             settling_text(result.outcomes[name].settling),
-            *([] if followed else [as_rate(row["decay_rate"])]),
+            *([] if followed else ["–" if _at_floor(result, name) else as_rate(row["decay_rate"])]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
     ]
+
+
+def _at_floor(result: Comparison, name: str) -> bool:
+    """Whether a run has settled in its noise, so that |x| no longer shows a decay rate."""
+    noise = [
+        one for one in pushes(result.problem.imperfections) if not isinstance(one, StepDisturbance)
+    ]
+    return bool(noise) and math.isfinite(result.outcomes[name].settling)
 
 
 def headings_of(result: Comparison) -> tuple[str, ...]:

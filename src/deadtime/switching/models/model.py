@@ -87,7 +87,7 @@ class SwitchingModel(Frozen, ABC):
     @property
     def in_words(self) -> str:
         """The sojourns in words."""
-        return f"mean sojourns {', '.join(f'{mean:.3g}' for mean in self.mean())} s"
+        return f"mean sojourns {', '.join(f'{mean:.3g}' for mean in self.mean)} s"
 
     @abstractmethod
     def ages(self, step: float, most: int | None = None) -> int | None:
