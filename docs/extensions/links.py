@@ -10,7 +10,11 @@ PAGES = {
     "CONTRIBUTING.md": "/contributing.md",
 }
 # Scripts have pages of their own, made by sphinx-gallery.
-SCRIPTS = {"examples/gallery/": "/gallery/", "examples/howto/": "/howto/scripts/"}
+SCRIPTS = {
+    "examples/gallery/": "/gallery/",
+    "examples/howto/": "/howto/scripts/",
+    "examples/walkthroughs/": "/walkthroughs/",
+}
 UP = re.compile(r"\]\((?:\.\./)+([A-Za-z][^)#]*\.(?:md|py))")
 
 

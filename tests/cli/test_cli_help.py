@@ -90,6 +90,10 @@ def test_help_is_found_by_whatever_name_it_is_called(capsys, other):
         (["help", "certfy"], 'Unknown command "certfy". Did you mean "certify"?'),
         (["certify", "paper", "--dwelltime", "1"], "Unknown option: --dwelltime. Did you mean --d"),
         (["bound", "papr"], "or a file that exists, got 'papr'. Did you mean paper?"),
+        (
+            ["certify", "motor"],
+            "write it with deadtime init motor.toml -e motor, and give motor.toml",
+        ),
         (["bound"], 'Command "bound" parameter --problem requires an argument. See deadtime bound'),
         (["design"], "requires an argument"),
         (["certify", "paper", "--delays", "0.3"], "--delays [0.3,0.1] [0.32,0.12]. See deadtime"),

@@ -56,6 +56,22 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
     assert (folder / "fit.svg").read_text(encoding="utf-8").count("<svg") == 1
 
 
+def test_a_delay_beyond_the_range_is_not_found_and_the_exit_code_says_so(folder, capsys):
+    out = folder / "short.toml"
+    code, text, _ = said(
+        [folder / "log.csv", "--one-mode", "--delay", 0, 0.25, "--out", out], capsys
+    )
+    assert code == 1
+    assert text.replace("\n", " ").startswith(
+        "Delay not found: the best fit is at the end of the range 0 … 0.25 s. "
+        "Repeat with --delay 0 3"
+    )
+    assert text.partition("\ndelay")[2].split()[:2] == ["0.25", "disturbance[0][0,0]"]
+    kept = out.read_text(encoding="utf-8")
+    assert kept.startswith("# Delay not found: the best fit is at the end of the range 0 … 0.25 s")
+    assert "delay = 0.25    # s; not found: see above" in kept
+
+
 def test_a_terminal_is_told_what_is_being_done(folder):
     command = [sys.executable, "-m", "deadtime", "identify", "log.csv", "--one-mode"]
     able = os.environ | {"TERM": "xterm"}  # of a dumb one nothing can be taken back

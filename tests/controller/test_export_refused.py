@@ -22,7 +22,7 @@ def controller(name="averaged", step=0.05, plant=GENERIC):
 def test_the_export_checks_itself_and_a_changed_table_is_found(tmp_path):
     exported = controller().export_c(tmp_path, name="law")
     assert exported.check.passed
-    assert re.search(r"compiled with \S+: \d+ vectors, 0 differ, worst error", str(exported))
+    assert re.search(r"compiled with \S+: \d+ vectors, 0 differ, worst relative", str(exported))
     assert set(exported.files) == {path.name for path in tmp_path.iterdir()}
     from deadtime.controller.export.compiler import self_check
 

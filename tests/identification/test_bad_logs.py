@@ -79,7 +79,9 @@ def test_inputs_that_move_together_are_named():
 
 def test_a_delay_outside_the_range_is_said():
     below = said(GOOD, delay=(0.0, 0.2))
-    assert "lies at the edge of the range searched, 0 … 0.2 s: widen delay=(low, high)" in below
+    assert below.startswith(
+        "Delay not found: the best fit is at the end of the range 0 … 0.2 s. Repeat with delay=(0, "
+    )
     for bounds in ((0.0, 0.2), (0.0, 0.25), (0.5, 1.0)):
         text = f"a delay outside the range searched, {bounds[0]:g} … {bounds[1]:g} s: widen"
         assert text in said(GOOD, delay=bounds)
@@ -99,7 +101,6 @@ def test_the_digits_of_a_delay_show_how_sure_it_is():
     text = fit.sentences[0].split(" within ")[1].removesuffix(" s.").split(" … ")
     shown = [float(one) for one in text]
     np.testing.assert_allclose(shown, [low, high], atol=0.05 * (high - low))
-    assert "within 0 … 0.2 s." in said(GOOD, delay=(0.0, 0.2))
 
 
 REFUSED = {

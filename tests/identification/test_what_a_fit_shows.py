@@ -37,7 +37,7 @@ def fit():
 
 def test_the_table_has_the_operating_point_with_its_interval_and_no_constant_terms(fit):
     feed, level = interval_rows(fit)[:2]
-    assert feed == ("feed at rest", f"{fit.operating_point.u[0]:.5g}", "", "")
+    assert feed == ("feed at rest", f"{fit.operating_point.u[0]:.5g}", "chosen", "")
     assert level[0] == "level at rest"
     low, high = map(float, level[2:])
     assert high - low == pytest.approx(2.0 * 1.96 * fit.rest_error[0], rel=0.05)

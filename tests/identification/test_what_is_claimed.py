@@ -71,6 +71,7 @@ def saved(C, noise, W):
         plant=dt.SwitchedSystem([-np.eye(2)] * 2, [[[1.0], [0.0]]] * 2, 0.2),
         delays=np.full((2, 1), 0.2),
         delay_interval=np.tile([0.19, 0.21], (2, 1, 1)),
+        delays_not_found=(),
         sentences=("Found.",),
         samples=100,
         step=H,

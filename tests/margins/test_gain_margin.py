@@ -186,9 +186,7 @@ def test_a_stable_plant_that_its_law_makes_unstable_is_stable_with_less_of_its_i
     # s + 1 + 5 k e^{−s} = 0 has a root iω first where ω = −tan ω and 5 k = √(1 + ω²).
     omega = brentq(lambda w: np.sin(w) + w * np.cos(w), 0.6 * np.pi, 0.99 * np.pi)
     assert margin.stabilising == pytest.approx((0.0, np.hypot(1.0, omega) / 5.0), rel=1e-7)
-    assert margin.message.endswith(
-        "stable in every constant mode if the inputs acted less than 0.452 times as much"
-    )
+    assert margin.message.endswith("stable if the inputs acted less than 0.452 times as much")
 
 
 def test_a_plant_that_is_stable_by_itself_bears_no_effect_at_all():
@@ -196,7 +194,7 @@ def test_a_plant_that_is_stable_by_itself_bears_no_effect_at_all():
     law = dt.DelayedStateFeedback(plant, [[[-1e-9]], [[-1e-9]]])
     margin = dt.gain_margin(plant, law, 0.1)
     assert (margin.lower, margin.upper) == (0.0, np.inf)
-    assert margin.message.endswith("at all, however much")
+    assert margin.message.startswith("gain margin infinite: stable")
 
 
 def test_laws_that_are_no_table_are_refused_by_name():

@@ -128,7 +128,7 @@ def test_what_every_run_has_beside_what_is_tried_is_kept():
         PLANT, plants.LAWS["averaged"](MODEL), SIGNAL, X0, HORIZON, STEP, imperfections=[limits]
     )
     assert (result.drops.cost[0] == run.metrics()["cost"]).all()
-    assert result.sentences[0].startswith("Ignoring the imperfections of every run, the")
+    assert result.sentences[0].startswith("Without saturation (-2 to 2): the")
     assert result.late.cost.shape[1] == 4
 
 

@@ -86,9 +86,9 @@ def test_the_figure_has_a_panel_of_what_settles():
     figure = plot_loop(view, None, None, steps, "speed")
     assert len(figure.axes) == len(plot_loop(view).axes) + 1
     panel = figure.axes[-1]
-    assert panel.get_title(loc="left") == "speed after a constant 1 at the input"
+    assert panel.get_title(loc="left") == "speed after a load step of 1 at the input"
     np.testing.assert_array_equal(panel.get_lines()[0].get_ydata(), steps[0].response)
     still = StepResponse(0, steps[0].time, np.zeros(steps[0].time.size), False, -1.0)
     panel = plot_loop(view, None, None, [still], "speed", "input u₂").axes[-1]
-    assert panel.get_title(loc="left") == "speed after a constant 1 at input u₂"
+    assert panel.get_title(loc="left") == "speed after a load step of 1 at input u₂"
     assert panel.get_xlim() == (0.0, 1.0)

@@ -142,10 +142,7 @@ def out_of_reach(modes: int, law: Law, signals: SignalClass, step: float) -> str
     if not law.is_linear:
         return _why_no_table(law)
     if law.needs_preview:
-        return (
-            f"{type(law).__name__} needs a preview of the signal, so its table is one for each "
-            "signal: there is no one loop to certify."
-        )
+        return "The oracle knows the future switching, so there is no fixed controller to certify."
     dwell_time = min(signals.limits(modes).dwell_time)
     tolerance = signals.clock_tolerance
     several = modes > 1 and signals.at == "anywhere"

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import logging
 import os
+import re
 import shlex
 import sys
 import traceback
@@ -16,7 +17,14 @@ from io import TextIOWrapper
 from itertools import islice
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Group, MissingArgumentError, UnusedCliTokensError
+from cyclopts import (
+    App,
+    CycloptsError,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    UnusedCliTokensError,
+)
 
 from deadtime.base import notices
 from deadtime.base.errors import DeadtimeError
@@ -58,8 +66,11 @@ app = App(
     "130 interrupted.",
     version=__version__,
     group_commands=_OPTIONS,
+    default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,  # `main` says that the command was interrupted
 )
+
+_ARGUMENT = r'\b\w+=(?:\([^()]*\)|\[[^\]]*\]|"[^"]*"|\w*)'  # of Python, such as modes=2
 
 _tokens: ContextVar[tuple[str, ...]] = ContextVar("tokens", default=())
 
@@ -144,10 +155,22 @@ def as_command(tokens: list[str]) -> list[str]:
     return tokens
 
 
+def with_options(text: str) -> str:
+    """A message of the library with options alone, without the Python arguments beside them.
+
+    Examples
+    --------
+    >>> with_options("Widen delay=(low, high), --delay LOW HIGH; or say modes=None (--one-mode).")
+    'Widen --delay LOW HIGH; or say --one-mode.'
+    """
+    text = re.sub(rf"{_ARGUMENT}(?: or {_ARGUMENT})*, (?=--)", "", text)
+    return re.sub(rf"{_ARGUMENT} \((--[^()]*)\)", r"\1", text)
+
+
 def _one_line(error: BaseException) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"unexpected argument {error.unused_tokens[0]!r}."
-    return " ".join(str(error).split())
+    return with_options(" ".join(str(error).split()))
 
 
 def _unexpected(error: Exception) -> str:

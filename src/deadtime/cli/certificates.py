@@ -332,6 +332,7 @@ def _print_judged(
         left_out,
         plants_in_words,
         summary_of,
+        without_imperfections,
     )
 
     sentences = certificate_sentences(judged, problem)
@@ -352,7 +353,7 @@ def _print_judged(
     else:
         sentences = []
     print_details([*sentences, *left_out(problem, assumed.signals)])
-    if any(one.stable for one in judged):
+    if any(one.stable for one in judged) and not without_imperfections(problem, assumed.signals):
         print_details([not_covered(assumed.signals)])
     Terminal().print(f"\n{LEGEND}", style="dim", markup=False)
     if explain:
@@ -394,5 +395,6 @@ def bound(
     if json_output:
         print_json(bounds_record(bounds))
         return
+    print("For readers of the paper; for a proof use certify.")
     print_answer(bound_sentence(bounds), f"Dwell time {dwell:.4g} s ({source}).", "")
     print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))

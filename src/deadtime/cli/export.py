@@ -60,7 +60,7 @@ def export(
     single
         Single precision.
     accuracy
-        Allowed error of a compressed table, relative to the sum of the moduli of a row's taps.
+        Allowed error of a compressed table, relative to the sum of |coefficients| of the law.
     rom_budget
         Largest size of the tables, bytes.
     name

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from deadtime.base.errors import ArgumentError
 from deadtime.cli import options
-from deadtime.cli.application import BUILD, app, command_line, lines
+from deadtime.cli.application import BUILD, app, command_line, lines, with_options
 from deadtime.cli.printing import (
     output_file,
     print_answer,
@@ -62,13 +62,15 @@ def identify(
     figure: Path | None = None,
     report: Path | None = None,
     json_output: options.AsJson = False,
-) -> None:
+) -> int:
     """Identify a plant from logs: matrices, delays and noise, each with its 95 % interval.
+
+    The exit code is 1 if a delay is not found: it fits best at an end of the range searched.
 
     Parameters
     ----------
     logs
-        CSV files with columns t (seconds), x1, x2, …, u1, u2, … and the mode.
+        CSV files with columns t (or time, seconds), x1, x2, …, u1, u2, … and the mode.
     modes
         Column of the mode; for modes that were not logged their number, or a range such as 1..3.
     one_mode
@@ -137,7 +139,7 @@ def identify(
             rest=rest,
             progress=stage,
         )
-        sentences = list(fit.sentences)
+        sentences = [with_options(one) for one in fit.sentences]
         try:
             if whose is not None:
                 stage("computing the delay margin of the law")
@@ -157,6 +159,7 @@ def identify(
             print(f"\nWritten: {path}")
     if failed is not None:
         raise failed
+    return 1 if fit.delays_not_found else 0
 
 
 def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:
@@ -256,6 +259,7 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "B": fit.plant.B,
         "delays": fit.delays,
         "delay_interval": fit.delay_interval,
+        "delays_not_found": fit.delays_not_found,
         "operating_point": rest,
         "disturbance": fit.disturbance,
         "noise": fit.noise,

@@ -70,7 +70,7 @@ def loop(
     path = output_file("out", out, f"{chosen.name}-loop")
     name, chosen_law = options.law_of(chosen, law)
     view, steps = loop_view(chosen.plant, chosen_law, chosen.step, at), []
-    shown, pushed = None, "the input"
+    shown, pushed = None, "the plant input"
     if chosen.step is not None:
         args = chosen.plant, chosen_law
         steps = [
@@ -92,17 +92,28 @@ def loop(
     sentences = (sentence_of(margin.message) for margin in (view.gain, view.delay))
     growth, names = view.gain.growth.tolist(), chosen.modes
     judged, why = held_in_words(chosen, growth)
+    held = "With each mode held, t" if len(names) > 1 else "T"
     print_answer(
-        f"With each mode held, the loop under the law “{name}” is {judged}: {why}.",
+        f"{held}he loop under the law “{name}” is {judged}: {why}.",
         chosen.title,
         "",
     )
     print_table(_HEADINGS, [_row(*each) for each in zip(names, growth, view.modes, strict=True)])
     if any(each.growth < 0.0 for each in steps):
-        print(f"\n{shown} after a constant 1 at {pushed}:")
+        change = "a step of 1 of" if chosen.tracked else "a load step of 1 at"
+        print(f"\n{shown} after {change} {pushed}:")
         print_table(_STEP_HEADINGS, [_step_row(*each) for each in zip(names, steps, strict=True)])
     print()
-    print_details(with_names(text, chosen.modes) for text in sentences)
+    details = [with_names(text, chosen.modes) for text in sentences]
+    if any(each.phase is None for each in view.modes):
+        details.append("Phase margin –: none, since the loop gain does not pass 1.")
+    finals = [abs((each.info or {}).get("SteadyStateValue", 0.0)) for each in steps]
+    if not chosen.tracked and max(finals, default=0.0) > 1e-6:
+        details.append(
+            f"After the load step {shown} stays up to {max(finals):.3g} off (no integral action; "
+            "[servo] removes it)."
+        )
+    print_details(details)
     print(f"\nFigure: {path}")
     return 0 if stable else 1
 

@@ -278,7 +278,7 @@ def _print(
     print_answer(outcome.answer, problem.title)
     limited, about = not problem.limits.is_plain, []
     if sojourn is None:
-        what = f"of the file's [switching], {problem.switching!r}"
+        what = f"drawn from [switching]: {with_names(model.in_words, problem.modes)}"
     elif limited:
         what = f"of {model!r}"
     else:

@@ -92,7 +92,8 @@ class Identification(Findings):
         )
         _, raised = filter_noise(fit)
         own = (*sentences, raised) if raised else sentences
-        joined = (*own, *log.sentences) if log.modes is None else (*log.sentences, *own)
+        first = log.modes is None or bool(fit.delays_not_found)
+        joined = (*own, *log.sentences) if first else (*log.sentences, *own)
         return replace(fit, sentences=joined)
 
     def verdict(

@@ -7,6 +7,7 @@ likelihood, by linear propagation of errors.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +19,7 @@ from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.residuals import ResidualTests
+from deadtime.identification.sentences import not_found
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
@@ -52,6 +54,13 @@ class Findings(Frozen):
     def delays(self) -> Float[np.ndarray, "mode m"]:
         """The likeliest delay of every mode and input, seconds."""
         return self.plant.delays
+
+    @property
+    def delays_not_found(self) -> tuple[str, ...]:
+        """Names of the delays that fit best at an end of the range searched, other than 0."""
+        layout = self._estimate.log.layout
+        missed = not_found(self._estimate, self._recording)
+        return tuple(compress(layout.names()[layout.at_delays], missed))
 
     @property
     def operating_point(self) -> OperatingPoint | None:

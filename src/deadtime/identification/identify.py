@@ -195,6 +195,8 @@ def identify(
         model, why = fit_switching(recording)
         given = estimate, estimate.log.recording, model, why, sensors, named
         fit = Identification.of(IdentifiedLog(*given))
+        if fit.delays_not_found:
+            return replace(fit, sentences=(*fit.sentences, *sentences))
         return replace(fit, sentences=(*sentences, *fit.sentences))
 
     fit = from_recording(resting(recording, rest))

@@ -77,7 +77,8 @@ def _delay_lines(fit: Findings) -> list[str]:
     value = _number(D[0, 0]) if D[0].size == 1 and same else _lists(D[0] if same else D)
     rows = ends[:1] if same else ends
     within = "; ".join(f"{low:.6g} … {high:.6g}" for low, high in rows.reshape(-1, 2))
-    return [f"delay = {value}    # s; at 95 %: {within}"]
+    about = "not found: see above" if fit.delays_not_found else f"at 95 %: {within}"
+    return [f"delay = {value}    # s; {about}"]
 
 
 def _operating_point(fit: Findings) -> list[str]:

@@ -6,7 +6,7 @@ the growth rate of the loop in every constant mode.
 
 from __future__ import annotations
 
-import itertools
+from itertools import compress, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +50,8 @@ def sentences_of(
     why : there is no switching model
     """
     repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
-    sentences = [*_delays(estimate, recording), *_levels(estimate, recording, rest, states)]
+    sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
+    sentences += _levels(estimate, recording, rest, states)
     sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
     sentences += _period(estimate, recording)
     for name in recording.absent:
@@ -73,18 +74,19 @@ def sentences_of(
 def _delays(estimate: Estimate, recording: Recording) -> list[str]:
     low, high = _bounds(estimate, recording)
     names, sentences, values = delay_names(recording, estimate), [], _values(estimate)
+    missed = not_found(estimate, recording)
+    sentences += [_not_found(name, recording, (low, high)) for name in compress(names, missed)]
     each = zip(names, values, estimate.intervals, *_range_flags(estimate, recording), strict=True)
     for place, (name, D, (left, right), at_edge, cut, vague) in enumerate(each):
+        if missed[place]:
+            if vague or counts_milliseconds(recording):
+                sentences += reasons(recording, place % len(recording.inputs), high - low)
+            continue
         left = low if left <= estimate.log.bounds[0] else left
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
         sentences.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
-        if at_edge:
-            sentences.append(
-                f"{name} lies at the edge of the range searched, {low:.4g} … {high:.4g} s: widen "
-                "delay=(low, high), --delay LOW HIGH."
-            )
-        elif cut and not vague:
+        if cut and not vague:
             sentences.append(
                 f"The interval of {name[0].lower()}{name[1:]} ends where the range searched does: "
                 "if the delay may lie beyond, widen delay=(low, high), --delay LOW HIGH."
@@ -102,6 +104,24 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
         elif at_edge and counts_milliseconds(recording):
             sentences += reasons(recording, place % len(recording.inputs), high - low)
     return sentences
+
+
+def not_found(estimate: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
+    """Which delays fit best at an end of the range searched, other than 0."""
+    (low, high), D = _bounds(estimate, recording), _values(estimate)
+    margin = _EDGE * (high - low)
+    return (high - margin < D) | ((low > 0.0) & (low + margin > D))
+
+
+def _not_found(name: str, recording: Recording, searched: tuple[float, float]) -> str:
+    """The sentence on a delay that is not found, with a range up to a tenth of the log's length."""
+    low, high = searched
+    length = max(float(np.ptp(part.time)) for part in recording.parts)
+    wider = float(f"{max(0.1 * length, 2.0 * high):.1g}")
+    return (
+        f"{name[4].upper()}{name[5:]} not found: the best fit is at the end of the range "
+        f"{low:.4g} … {high:.4g} s. Repeat with delay=(0, {wider:g}), --delay 0 {wider:g}."
+    )
 
 
 def _range_flags(
@@ -163,6 +183,23 @@ def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
     return [f"{name} in mode {mode}" for mode in recording.modes for name in inputs]
 
 
+def _first_order(estimate: Estimate, recording: Recording) -> list[str]:
+    """K, τ and θ of K e^(−θ s)/(τ s + 1) in each stable mode of a plant of one state and input."""
+    plant = estimate.plant
+    if plant.states > 1 or plant.inputs > 1 or not_found(estimate, recording).any():
+        return []
+    sentences = []
+    for mode, A, B, D in zip(recording.modes, plant.A, plant.B, plant.delays, strict=True):
+        a, b = float(A[0, 0]), float(B[0, 0])
+        if a < 0.0:
+            where = f" in mode {mode}" if plant.modes > 1 else ""
+            sentences.append(
+                f"As a first-order process{where}: gain {-b / a:.3g}, time constant "
+                f"{-1.0 / a:.3g} s, dead time {float(D[0]):.3g} s."
+            )
+    return sentences
+
+
 def _levels(
     estimate: Estimate, recording: Recording, rest: Rest | None, states: tuple[str, ...]
 ) -> list[str]:
@@ -175,9 +212,11 @@ def _levels(
             for name, v, e in zip(names, values, rest.error, strict=True)
         ]
         there, given = ", ".join(each[: len(states)]), ", ".join(each[len(states) :])
+        started = any(part.rests for part in recording.parts)
+        near = f" near the log's {'first row' if started else 'mean input'}"
         sentences.append(
-            f"The plant rests at {there} with {given}: its states and inputs are deviations from "
-            "this operating point."
+            f"Balance point{near if estimate.plant.modes == 1 else ''}: {there} with {given}. "
+            "States and inputs are deviations from it."
         )
         sentences += _apart(estimate, recording, rest, states)
     if any(part.rests for part in recording.parts):
@@ -444,7 +483,7 @@ def failure_of(
         short, long = margin.lower - margin.nominal, margin.upper - margin.nominal
         if off[:, 0].min() < short or off[:, 1].max() > long:
             return f"that of input {j} alone is tolerated from {short:+.2g} to {long:+.2g} s"
-    for corner in itertools.product((0, 1), repeat=plant.inputs):
+    for corner in product((0, 1), repeat=plant.inputs):
         delays = interval[:, np.arange(plant.inputs), corner]
         truth = SwitchedSystem(plant.A, plant.B, delays)
         for mode in range(plant.modes):

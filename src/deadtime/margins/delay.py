@@ -194,7 +194,7 @@ def constant_delay_margin(
         upper = upper if found is None else _Limit(found.delay, mode, found.frequency)
     if parts and not any(parts):  # no delay puts a root on the limit of stability
         upper = upper._replace(delay=math.inf)
-    message = _stable(lower, upper, nominal, of_input(input, names), differ)
+    message = _stable(lower, upper, nominal, of_input(input, names), differ, in_every(plant))
     if len(modes) < plant.modes:
         only = f", of the modes that may be held ({', '.join(map(str, modes))})"
         message = message + only if modes else "no mode may be held"
@@ -231,9 +231,11 @@ def _response(
     return OneInput(whole, plant.shortest_delay, input, float(own[mode] - own.min()))
 
 
-def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: bool) -> str:
+def _stable(
+    lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: bool, every: str
+) -> str:
     """The interval in a sentence, rounded inwards."""
-    text = "the loop stays stable in every constant mode"
+    text = f"the loop stays stable{every}"
     if differ:
         return f"{text} {_shifts(lower, upper, nominal, of_one)}"
     if math.isinf(upper.delay):
@@ -246,6 +248,11 @@ def _stable(lower: _Limit, upper: _Limit, nominal: float, of_one: str, differ: b
         return f"{text} below {high} s ({longer})"
     shorter = error_percent(lower.delay, nominal)
     return f"{text} between {low} s and {high} s ({shorter}, {longer})"
+
+
+def in_every(plant: SwitchedSystem) -> str:
+    """The modes of a margin, for sentences; empty for a plant of one mode."""
+    return " in every constant mode" if plant.modes > 1 else ""
 
 
 def of_input(input: int | None, names: Sequence[str] | None = None) -> str:

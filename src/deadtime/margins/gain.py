@@ -21,6 +21,7 @@ from deadtime.base.checks import positive
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import inwards
 from deadtime.feedback import Law
+from deadtime.margins.delay import in_every
 from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
@@ -114,10 +115,11 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
         what = not_decaying(plant, growth[worst])
         factors, stable = _stabilising(plant, law, step)
         text = f"there is no gain margin: held in mode {worst} the loop {what}; "
-        text += _cure(factors, stable)
+        text += _cure(factors, stable, in_every(plant))
         return GainMargin(None, None, worst, worst, growth, text, factors if stable else None)
     lower, upper = _around(plant, law, step)
-    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, _sentence(lower, upper))
+    text = _sentence(lower, upper, in_every(plant))
+    return GainMargin(lower[0], upper[0], lower[1], upper[1], growth, text)
 
 
 def _around(plant: SwitchedSystem, law: Law, step: float | None) -> tuple[_End, _End]:
@@ -278,20 +280,22 @@ def _refine(
     return np.real(low + part * (high - low))
 
 
-def _sentence(lower: _End, upper: _End) -> str:
-    text = "the loop stays stable in every constant mode while the inputs act"
+def _sentence(lower: _End, upper: _End, every: str) -> str:
     (low, low_mode), (high, high_mode) = lower, upper
     low_text, high_text = inwards(low, 1.0), inwards(high, 1.0)
     if low_mode is None and high_mode is None:
-        return f"{text} at all, however much"
+        return f"gain margin infinite: stable{every} at every plant gain"
+    text = "gain margins" if low_mode is not None and high_mode is not None else "gain margin"
     if high_mode is None:
-        return f"{text} more than {low_text} times as much as in the model"
-    if low_mode is None:
-        return f"{text} less than {high_text} times as much as in the model"
-    return f"{text} between {low_text} and {high_text} times as much as in the model"
+        limits, much = low_text, f"above {low_text} times"
+    elif low_mode is None:
+        limits, much = high_text, f"below {high_text} times"
+    else:
+        limits, much = f"{low_text} and {high_text}", f"between {low_text} and {high_text} times"
+    return f"{text} {limits}: stable{every} while the plant gain is {much} the model's"
 
 
-def _cure(factors: _Factors, stable: bool) -> str:
+def _cure(factors: _Factors, stable: bool, every: str) -> str:
     """The factors that would make an unstable loop stable, or the range tried, for sentences."""
     low, high = factors
     if not stable:
@@ -303,4 +307,4 @@ def _cure(factors: _Factors, stable: bool) -> str:
         much = f"more than {least} times"
     else:
         much = f"between {least} and {most} times" if low else f"less than {most} times"
-    return f"it would be stable in every constant mode if the inputs acted {much} as much"
+    return f"it would be stable{every} if the inputs acted {much} as much"

@@ -191,12 +191,15 @@ def robustness(
     else:
         noise = noise_price(setting, float(np.linalg.norm(x0)) or 1.0)
     # The spectrum knows no imperfections.
-    ignoring = "ignoring the imperfections of every run, " if setting.imperfections else ""
+    left = ", ".join(one.in_words for one in setting.imperfections)
+    ignoring = f"without {left}: " if left else ""
     sentences = [sentence_of(ignoring + part.message) for part in (delay, *alone, gain) if part]
     sentences += [sentence_of(reasons[margin]) for margin in left_out]
     sentences += [sentence_of(part.message) for part in (drops, late, lag) if part is not None]
     if lag is None:
         sentences.append("Mode detection delay has no effect: the law does not read the mode.")
+    if setting.compared and setting.works.startswith("stays near"):
+        sentences.append("Near: over its last quarter, within the distance that run itself moves.")
     sentences.append(sentence_of(noise.message))
     once = tuple(dict.fromkeys(sentences))  # tolerances that fail alike have the same sentence
     return Robustness(
@@ -229,7 +232,9 @@ def _lost_samples(setting: RobustnessRuns) -> Tolerance:
             f"with {upto}{100 * tolerated:.3g} % of the samples lost {which} of {runs} "
             f"{setting.where} {what}"
         )
-        return text if failed is None else f"{text}; with {100 * failed:.3g} % some do{some}"
+        if failed is None:
+            return f"{text} (no more was tried)"
+        return f"{text}; with {100 * failed:.3g} % some do{some}"
 
     return tolerance_of(setting, Dropout, _LOST_SHARES, between, setting.scenarios, say)
 

@@ -52,6 +52,8 @@ switches at any time; sampling period 0.01 s; the mode is reported 2 periods lat
         lag, lost = self.signals.mode_lag, self.signals.lost_samples
         late = f"; the mode is reported {number_of(lag, 'period')} late" * (lag > 0)
         late += f"; up to {number_of(lost, 'sample')} in a row may be lost" * (lost > 0)
+        if len(modes) == 1:
+            return f"The plant has one mode; sampling period {step:g} s{late}."
         return (
             f"Every signal that {stays} ({self.dwell.source}), {switches}; sampling period "
             f"{step:g} s{late}."

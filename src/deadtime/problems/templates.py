@@ -10,6 +10,7 @@ from deadtime.base.errors import ArgumentError
 from deadtime.problems.imperfection_registry import in_comments
 
 NAMES = ("paper", "three-mode", "follower")
+OTHERS = ("motor", "quadrotor")  # examples that are files alone
 
 
 def is_named(place: Path) -> bool:
@@ -29,6 +30,11 @@ def is_named(place: Path) -> bool:
     if name in NAMES:
         return True
     if not place.suffix and not place.exists():
+        if name in OTHERS:
+            raise ArgumentError(
+                f"problem must be a file for the example {name!r}: write it with deadtime init "
+                f"{name}.toml -e {name}, and give {name}.toml."
+            )
         near = get_close_matches(name, NAMES, n=1)
         hint = f" Did you mean {near[0]}?" if near else ""
         raise ArgumentError(

@@ -35,9 +35,9 @@ HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay mar
 LEGEND = (
     "Stability: yes, for every such signal; no, |x| grows along one of them; no answer, neither "
     "was found. Decay: every run falls at least this fast. Proof: yes, of stability; witness, of a "
-    "signal along which |x| grows; both in ball arithmetic. Growth: along the worst signal found. "
-    "Delay margin: the true delays for which the law keeps every constant mode stable; of several "
-    "delays, their common change."
+    "signal along which |x| grows; both with all rounding errors included. Growth: along the worst "
+    "signal found. Delay margin: the true delays for which the law keeps every constant mode "
+    "stable; of several delays, their common change."
 )
 
 
@@ -353,7 +353,7 @@ def delay_sentence(problem: Problem) -> list[str]:
         margin = constant_delay_margin(problem.plant, law, problem.step)
     except ArgumentError:
         return []
-    but = ", ignoring the imperfections," if problem.imperfections else ""
+    but = f", without {', '.join(problem.imperfections_in_words)}," if problem.imperfections else ""
     return [f"Under the law “{name}”{but} {with_names(margin.message, problem.modes)}."]
 
 

@@ -47,9 +47,10 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     the plant is at rest under them.
     """
     rows = []
+    chosen = "chosen" if fit.plant.modes == 1 else ""  # with one mode, every input has its rest
     if (point := fit.operating_point) is not None:
         rows += [
-            (f"{name} at rest", f"{u:.5g}", "", "")
+            (f"{name} at rest", f"{u:.5g}", chosen, "")
             for name, u in zip(fit.inputs, point.u, strict=True)
         ]
         for name, x, error in zip(fit.states, point.x, fit.rest_error, strict=True):
@@ -59,7 +60,9 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
             )
     for name in listed_names(fit):
         value, (low, high) = fit.estimate(name), fit.interval(name)
-        if low == 0.0 and value < _NOTHING * high:
+        if name in fit.delays_not_found:
+            rows.append((name, f"{value:.5g}", "", ""))
+        elif low == 0.0 and value < _NOTHING * high:
             rows.append((name, "undetermined", "0", f"{high:.2g}"))
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))

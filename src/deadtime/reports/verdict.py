@@ -10,6 +10,7 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import amount, as_rate, compact, sentence_of
 from deadtime.feedback import Law
+from deadtime.imperfections import StepDisturbance
 from deadtime.laws import (
     DelayedStateFeedback,
     ExactPredictor,
@@ -24,7 +25,7 @@ from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.metrics import SETTLES, settling_text
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import why_untested
+from deadtime.simulation.outcome import pushes, why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.held_mode_checks import why_left_out
@@ -59,11 +60,11 @@ def verdict(result: Comparison) -> list[str]:
     settled = not any(run.message and not run.diverged for run in result.held)
     sentences += [_without_switching(result)] if result.problem.plant.modes > 1 and settled else []
     sentences += [_baseline(result, name) for name in _names_of(result, DelayedStateFeedback)[:1]]
-    singles = _names_of(result, SingleModePredictor)
-    sentences += [_single_modes(result, singles)] if singles else []
-    sentences += [
-        _against_the_oracle(result, name) for name in _names_of(result, ExactPredictor)[:1]
-    ]
+    if result.problem.plant.modes > 1:  # with one mode these laws are all the same
+        singles = _names_of(result, SingleModePredictor)
+        sentences += [_single_modes(result, singles)] if singles else []
+        oracles = _names_of(result, ExactPredictor)[:1]
+        sentences += [_against_the_oracle(result, name) for name in oracles]
     return [*sentences, *disagreement_of(result)]
 
 
@@ -89,7 +90,7 @@ def _headline(result: Comparison) -> str:
         count = f"{switches} switches" if switches > 1 else "one switch"
         setting = (
             f"on a signal with {count} in {problem.horizon:g} s "
-            f"(dwell time {float(f'{signal.dwell_time:.2g}'):g} s)"
+            f"(shortest sojourn in this run {float(f'{signal.dwell_time:.2g}'):g} s)"
         )
     law = the_problem_law(result.lead)
     law = law[0].upper() + law[1:]
@@ -198,6 +199,12 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
     ('unstable', 'held in brake it grows at +0.250 /s (in the other modes it decays)')
     """
     names, least = problem.modes, least_growth(problem.plant)
+    if len(growth) == 1:
+        rate = f" at {as_rate(growth[0])} /s" if math.isfinite(growth[0]) else ""
+        if abs(growth[0]) <= least:
+            return "not stable", "it neither grows nor decays"
+        grows = growth[0] > least
+        return ("unstable", f"it grows{rate}") if grows else ("stable", f"it decays{rate}")
     if not growth:
         return "not judged", "it has no growth rates with a mode held"
     unstable = [i for i, rate in enumerate(growth) if rate > least]
@@ -297,11 +304,19 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["cost"]),
             compact(row["peak"]),
             settling_text(result.outcomes[name].settling),
-            *([] if followed else [as_rate(row["decay_rate"])]),
+            *([] if followed else ["–" if _at_floor(result, name) else as_rate(row["decay_rate"])]),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
     ]
+
+
+def _at_floor(result: Comparison, name: str) -> bool:
+    """Whether a run has settled in its noise, so that |x| no longer shows a decay rate."""
+    noise = [
+        one for one in pushes(result.problem.imperfections) if not isinstance(one, StepDisturbance)
+    ]
+    return bool(noise) and math.isfinite(result.outcomes[name].settling)
 
 
 def headings_of(result: Comparison) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def _why_no_batch(loop: Loop, imperfections: Sequence[Imperfection]) -> str:
     if loop.tables is None:
         return "the plant is a thousand times faster than the period"
     if any(isinstance(one, Disturbance) and one.depends_on_mode for one in imperfections):
-        return "the force depends on the mode"  # it changes within a period
+        return "the batch engine takes no force that depends on the mode, such as an [[offset]]"
     if not all(map(is_batched, imperfections)):
         return "an imperfection is written in Python by the user"
     if loop.forced and not loop.plant.modes_share_delays:

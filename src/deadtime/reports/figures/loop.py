@@ -109,7 +109,7 @@ def _add_steps(panel: Axes, steps: Sequence[StepResponse], answer: str | None, p
     longest = min(max(settled, default=1.0), max(each.time[-1] for each in steps))
     panel.axhline(1.0 if steps[0].tracks else 0.0, color=BLACK, linewidth=0.8)
     panel.set_xlim(0.0, longest)
-    what = "a step of its reference" if steps[0].tracks else f"a constant 1 at {plain(pushed)}"
+    what = "a step of its reference" if steps[0].tracks else f"a load step of 1 at {plain(pushed)}"
     panel.set_title(f"{plain(answer or 'output')} after {what}")
     panel.set_xlabel("time (s)")
 

@@ -84,6 +84,11 @@ class SwitchingModel(Frozen, ABC):
     def mean(self) -> Float[np.ndarray, " mode"]:
         """Mean sojourn in each mode, seconds; infinite for a mode that is never left."""
 
+    @property
+    def in_words(self) -> str:
+        """The sojourns in words."""
+        return f"mean sojourns {', '.join(f'{mean:.3g}' for mean in self.mean)} s"
+
     @abstractmethod
     def ages(self, step: float, most: int | None = None) -> int | None:
         """Number of ages, in samples, with different hazards; None for a memoryless model.

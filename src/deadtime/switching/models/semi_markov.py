@@ -32,6 +32,7 @@ from deadtime.switching.models.sojourns import (
     Truncated,
     check_sojourns,
     describe,
+    in_words,
     limits,
     log_survival,
     mean_sojourn,
@@ -395,6 +396,23 @@ class SemiMarkov(SwitchingModel):
             least, most = zip(*map(limits, self.sojourn), strict=True)
             text += f"\ndwell_time = {list(least)}\nmaximum_dwell = {list(most)}"
         return text
+
+    @property
+    def in_words(self) -> str:
+        """The sojourns in words, without what follows a mode.
+
+        Examples
+        --------
+        >>> from scipy.stats import expon
+        >>> SemiMarkov(expon(loc=1.0, scale=1.0), modes=2).in_words
+        'sojourns 1 s plus exponential, mean 2 s'
+        >>> SemiMarkov([0.5, expon(scale=2.0)]).in_words
+        'sojourns 0.5 s in mode 0, exponential, mean 2 s in mode 1'
+        """
+        each = [in_words(dist) for dist in self.sojourn]
+        if len(set(each)) == 1:
+            return f"sojourns {each[0]}"
+        return f"sojourns {', '.join(f'{text} in mode {i}' for i, text in enumerate(each))}"
 
     def __repr__(self) -> str:
         sojourns = ", ".join(map(describe, self.sojourn))

@@ -147,6 +147,27 @@ def check_sojourns(sojourn: object, modes: int | None) -> tuple[Distribution, ..
     return tuple(check_sojourn(f"sojourn[{i}]", value) for i, value in enumerate(sojourn))
 
 
+def in_words(dist: Distribution) -> str:
+    """A distribution of sojourns in words, with its mean.
+
+    Examples
+    --------
+    >>> from scipy.stats import gamma
+    >>> in_words(ShiftedExponential(0.2, 0.3)), in_words(gamma(2.0)), in_words(Fixed(0.5))
+    ('0.2 s plus exponential, mean 0.5 s', 'gamma, mean 2 s', '0.5 s')
+    """
+    if isinstance(dist, Fixed):
+        return f"{dist.length:g} s"
+    family = getattr(getattr(dist, "dist", None), "name", "") or describe(dist)
+    shift = getattr(dist, "kwds", {}).get("loc", 0.0)
+    if isinstance(dist, ShiftedExponential):
+        family, shift = "expon", dist.loc
+    family = {"expon": "exponential", "weibull_min": "Weibull", "lognorm": "log-normal"}.get(
+        family, family
+    )
+    return f"{f'{shift:g} s plus ' if shift else ''}{family}, mean {mean_sojourn(dist):.3g} s"
+
+
 def describe(dist: object) -> str:
     """A frozen scipy distribution as its call, such as ``gamma(a=2, scale=0.5)``.
 
