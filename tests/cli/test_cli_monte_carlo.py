@@ -162,7 +162,7 @@ def test_the_nominal_plant_is_named_and_laws_run_one_by_one_have_a_reason(capsys
     offset = "[[offset]]\nmode = 1\nforce = [0.1]\n"
     (folder / "offset.toml").write_text(MILD_FILE + offset, encoding="utf-8")
     _, out, _ = run(capsys, "offset.toml", "--scenarios", "2", "--out", "run.png")
-    assert "slower: averaged, because the force depends on the mode." in " ".join(out.split())
+    assert "slower: averaged, because the batch engine takes no force that" in " ".join(out.split())
 
 
 def test_a_plant_with_a_delay_per_input_and_mode_and_a_chain_at_samples(capsys, folder):

@@ -441,7 +441,7 @@ def bound_sentence(bounds: Mapping[str, TheoremBound]) -> str:
         ratio = (
             f" The sharp form allows 10^{gained:.1f} times the distance that the printed one does."
         )
-    if sharp.holds:
+    if sharp.holds and sharp.xi is not None:
         return (
             f"The theorem proves this loop stable, updated continuously: |x| decays at least as "
             f"e^(−{rounded(sharp.xi, 2)} t), for every signal with the dwell time.{ratio}"
