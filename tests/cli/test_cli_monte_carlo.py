@@ -251,6 +251,7 @@ def test_interrupted_before_the_first_scenario_it_says_so(capsys, monkeypatch):
 def test_problems_that_have_no_random_signals_are_refused(capsys, monkeypatch, changes, message):
     changed = replace(dt.problems.paper(), name="mine", **changes)
     monkeypatch.setitem(dt.problems.NAMED, "mine", lambda: changed)
+    monkeypatch.setattr("deadtime.problems.templates.NAMES", ("mine",))
     code, out, err = run(capsys, "mine")
     assert (code, out) == (2, "")
     assert message in err
