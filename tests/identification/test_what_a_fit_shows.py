@@ -1,6 +1,7 @@
 """What is shown of an identification: its table, its figure, and columns that can be no log."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,14 @@ def test_the_table_has_the_operating_point_with_its_interval_and_no_constant_ter
     assert low < X0 + 0.8 * (fit.operating_point.u[0] - U0) < high
     assert any(name.startswith("constant") for name in fit.names)
     assert not any(row[0].startswith("constant") for row in interval_rows(fit))
+
+
+def test_a_plant_of_one_state_and_input_is_told_as_a_first_order_process(fit):
+    (text,) = [one for one in fit.sentences if one.startswith("As a first-order process: gain ")]
+    values = [float(re.search(rf"{name} ([\d.]+)", text)[1]) for name in ("gain", "constant")]
+    assert values == pytest.approx([0.8, 2.0], rel=0.05)
+    assert text.endswith(f"dead time {fit.delays[0, 0]:.3g} s.")
+    assert "Balance point near the log's first row: level = " in fit.message
 
 
 def test_rests_of_many_logs_scatter_about_the_true_one_as_their_standard_errors_say():

@@ -24,6 +24,8 @@ from deadtime.identification.residuals import ResidualTests, judge_residuals
 from deadtime.plant import SwitchedSystem
 from deadtime.switching.models.semi_markov import SemiMarkov
 
+EDGE = 1e-6  # of the range searched
+
 SURE = 0.95  # least probability of a mode that counts as sure
 
 
@@ -127,6 +129,23 @@ class Estimate(Peak):
         tests = judge_residuals(white, recording, plant.longest_delay, spent)
         own = {"plant": plant, "intervals": intervals, "several": several, "tests": tests}
         return cls(**{**vars(peak), **own, **others}, white=tuple(white))
+
+    @property
+    def delays(self) -> Float[np.ndarray, " delay"]:
+        return self.best.theta[self.log.layout.at_delays]
+
+    @property
+    def searched(self) -> tuple[float, float]:
+        """The range searched as given: its shortest delay is 0 where the search replaced 0."""
+        low, high = self.log.bounds
+        return (low if low > EDGE * self.log.recording.step * (1.0 + EDGE) else 0.0), high
+
+    @property
+    def missed(self) -> Bool[np.ndarray, " delay"]:
+        """Which delays fit best at an end of the range searched, other than 0."""
+        (low, high), D = self.searched, self.delays
+        margin = EDGE * (high - low)
+        return (high - margin < D) | ((low > 0.0) & (low + margin > D))
 
     @cached_property
     def places(self) -> dict[str, int]:

@@ -19,7 +19,6 @@ from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.residuals import ResidualTests
-from deadtime.identification.sentences import not_found
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
@@ -59,8 +58,7 @@ class Findings(Frozen):
     def delays_not_found(self) -> tuple[str, ...]:
         """Names of the delays that fit best at an end of the range searched, other than 0."""
         layout = self._estimate.log.layout
-        missed = not_found(self._estimate, self._recording)
-        return tuple(compress(layout.names()[layout.at_delays], missed))
+        return tuple(compress(layout.names()[layout.at_delays], self._estimate.missed))
 
     @property
     def operating_point(self) -> OperatingPoint | None:

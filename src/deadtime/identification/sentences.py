@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deadtime.base.wording import amount, number_of
-from deadtime.identification.estimate import Estimate
+from deadtime.identification.estimate import EDGE, Estimate
 from deadtime.identification.identifiability import counts_milliseconds, reasons
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from deadtime.margins import DelayMargin
 
 
-_EDGE = 1e-6  # of the range searched
 _SINGULAR = 1e8  # condition number of A beyond which a mode, as an integrator, has no unique rest
 _WIDE = 0.25  # of the range searched: a longer interval hardly identifies a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
@@ -72,9 +71,9 @@ def sentences_of(
 
 
 def _delays(estimate: Estimate, recording: Recording) -> list[str]:
-    low, high = _bounds(estimate, recording)
-    names, sentences, values = delay_names(recording, estimate), [], _values(estimate)
-    missed = not_found(estimate, recording)
+    low, high = estimate.searched
+    names, sentences, values = delay_names(recording, estimate), [], estimate.delays
+    missed = estimate.missed
     sentences += [_not_found(name, recording, (low, high)) for name in compress(names, missed)]
     each = zip(names, values, estimate.intervals, *_range_flags(estimate, recording), strict=True)
     for place, (name, D, (left, right), at_edge, cut, vague) in enumerate(each):
@@ -97,20 +96,13 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
             sentence = f"The log hardly tells {name[0].lower()}{name[1:]}{apart}"
             why = reasons(recording, place % len(recording.inputs), high - low)
             sentence += "" if why else ": move the input more, or log for longer"
-            if right >= high - _EDGE * (high - low):
+            if right >= high - EDGE * (high - low):
                 sentence += f"; if it may be longer than {high:.4g} s, widen delay=(low, high), "
                 sentence += "--delay LOW HIGH"
             sentences += [f"{sentence}.", *why]
         elif at_edge and counts_milliseconds(recording):
             sentences += reasons(recording, place % len(recording.inputs), high - low)
     return sentences
-
-
-def not_found(estimate: Estimate, recording: Recording) -> Bool[np.ndarray, " delay"]:
-    """Which delays fit best at an end of the range searched, other than 0."""
-    (low, high), D = _bounds(estimate, recording), _values(estimate)
-    margin = _EDGE * (high - low)
-    return (high - margin < D) | ((low > 0.0) & (low + margin > D))
 
 
 def _not_found(name: str, recording: Recording, searched: tuple[float, float]) -> str:
@@ -129,8 +121,8 @@ def _range_flags(
 ) -> tuple[Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"]]:
     """Which delays lie at the edge of the range, whose intervals it cuts, which it leaves open."""
     low, high = estimate.log.bounds
-    margin, D, (left, right) = _EDGE * (high - low), _values(estimate), estimate.intervals.T
-    least = -np.inf if _bounds(estimate, recording)[0] == 0.0 else low  # no delay is less than 0
+    margin, D, (left, right) = EDGE * (high - low), estimate.delays, estimate.intervals.T
+    least = -np.inf if estimate.searched[0] == 0.0 else low  # no delay is less than 0
     at_edge = (low + margin > D) | (high - margin < D)
     vague = estimate.several | (right - left > _WIDE * (high - low))
     return at_edge, (left <= least) | (right >= high), vague
@@ -155,21 +147,11 @@ def _doubts(estimate: Estimate, recording: Recording) -> list[str]:
     return doubts
 
 
-def _bounds(estimate: Estimate, recording: Recording) -> tuple[float, float]:
-    """The range searched as given: its shortest delay is 0 where the search replaced 0."""
-    low, high = estimate.log.bounds
-    return (low if low > _EDGE * recording.step * (1.0 + _EDGE) else 0.0), high
-
-
 def _digits(D: float, width: float) -> int:
     """The number of digits of which two differ between the ends of an interval."""
     if not 0.0 < width < abs(D):
         return 4
     return min(max(4, 1 + int(np.ceil(np.log10(abs(D) / width)))), 12)
-
-
-def _values(estimate: Estimate) -> np.ndarray:
-    return estimate.best.theta[estimate.log.layout.at_delays]
 
 
 def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
@@ -186,7 +168,7 @@ def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
 def _first_order(estimate: Estimate, recording: Recording) -> list[str]:
     """K, τ and θ of K e^(−θ s)/(τ s + 1) in each stable mode of a plant of one state and input."""
     plant = estimate.plant
-    if plant.states > 1 or plant.inputs > 1 or not_found(estimate, recording).any():
+    if plant.states > 1 or plant.inputs > 1 or estimate.missed.any():
         return []
     sentences = []
     for mode, A, B, D in zip(recording.modes, plant.A, plant.B, plant.delays, strict=True):
@@ -273,7 +255,7 @@ def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str
             f"{cause}"
         )
     if not tests.unrelated:
-        name, (low, high) = recording.inputs[tests.input], _bounds(estimate, recording)
+        name, (low, high) = recording.inputs[tests.input], estimate.searched
         outside = not low - recording.step < tests.input_delay < high + recording.step
         cause = (
             f"a delay outside the range searched, {low:.4g} … {high:.4g} s: widen "

@@ -304,7 +304,11 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
             compact(row["cost"]),
             compact(row["peak"]),
             settling_text(result.outcomes[name].settling),
-            *([] if followed else ["–" if _at_floor(result, name) else as_rate(row["decay_rate"])]),
+            *(
+                []
+                if followed
+                else ["in noise" if _at_floor(result, name) else as_rate(row["decay_rate"])]
+            ),
             compact(row["final_norm"]),
         )
         for name, row in result.metrics.items()
