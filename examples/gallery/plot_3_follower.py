@@ -49,7 +49,7 @@ for delays in ((0.15, 0.20), (0.20, 0.25)):
 # From which delay on does prediction pay?
 # ----------------------------------------
 #
-# The same car with other delays, every law told the delay that there is. Ignoring it ends where a
+# The same car with other delays, every law with the true delay. Ignoring it ends where a
 # mode that lasts begins to grow: from there on not cost is at stake, but stability.
 
 

@@ -90,13 +90,13 @@ print(f"the signal that grows: {margin.witness.message}")
 #
 # The operator sees whether the gripper holds something. The expected law uses that, with a guess
 # of how long it will stay so: each state for two seconds on average. Averaged and blind, the loop
-# is lost at 4 kg; the same gains, told the mode, hold the arm on the signal below.
+# is lost at 4 kg; the same gains with the mode measured hold the arm on the signal below.
 
 model = dt.Markov([[0.0, 0.5], [0.5, 0.0]])
 
 
 def seeing(load):
-    """The joint and a law that is told the mode."""
+    """The joint and a law that reads the mode."""
     plant, law = averaged(load)
     return plant, dt.ExpectedPredictor(plant, law.gains, model)
 

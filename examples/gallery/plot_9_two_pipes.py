@@ -4,7 +4,7 @@ Two pipes, two flows: a delay for every input and regime
 
 Two stirred tanks in series are warmed by two feeds, each mixed far away and piped to its tank. What
 is ordered arrives when the pipe has been emptied, so each feed has a delay of its own, and half the
-flow doubles both. What one learns: told the four delays, a law needs no tuning; told one for all,
+flow doubles both. What one learns: with the four delays a law needs no tuning; with one for all,
 the cheapest choice leaves a regime that decays at a third of the rate.
 
 **Source.** Delay of a pipe, volume over flow: D. E. Seborg, T. F. Edgar and D. A. Mellichamp,
@@ -87,8 +87,8 @@ for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
 # The follower of this gallery, its throttle late by 0.4 s and its brake by 0.1 s: one input, whose
 # delay changes with the mode. Cost is the mean over 400 signals; the margin is by how much both
 # true delays may be longer, in every mode held; the dwell time is the shortest with which the loop
-# is proved stable. 0.05 s, a period, is the shortest that can be asked about. Believing in the
-# throttle's delay costs 2 % less than the truth does, and leaves a fourteenth of its margin.
+# is proved stable. 0.05 s, a period, is the shortest that can be asked about. Taking the
+# throttle's delay for both costs 2 % less than the truth does, and leaves a fourteenth of its margin.
 
 car = dt.problems.follower()
 late = dt.SwitchedSystem(car.plant.A, car.plant.B, [[0.4], [0.1]])

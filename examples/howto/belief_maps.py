@@ -59,17 +59,17 @@ share = 100.0 * sweep.stabilised
 figure = Figure(figsize=(7.2, 5.0), layout="constrained", dpi=150)
 panels = figure.subplots(2, len(AXES["noise"]), sharex=True, sharey=True)
 for column, noise in enumerate(AXES["noise"]):
-    told = share.sel(noise=noise)
+    one = share.sel(noise=noise)
     for panel, values, look in (
         (panels[0, column], ratio.sel(noise=noise), {"cmap": "Oranges", "vmin": 1.0, "vmax": 1.4}),
-        (panels[1, column], told.sel(law="believed"), {"cmap": "Greens", "vmin": 0.0, "vmax": 160}),
+        (panels[1, column], one.sel(law="believed"), {"cmap": "Greens", "vmin": 0.0, "vmax": 160}),
     ):
         values = values.transpose("distance", "sojourn").values
         image = panel.imshow(values, origin="lower", aspect="auto", **look)
         for (i, j), value in np.ndenumerate(values):
             text = f"{value:.2f}"
             if panel is panels[1, column]:
-                measured = told.sel(law="measured").transpose("distance", "sojourn").values[i, j]
+                measured = one.sel(law="measured").transpose("distance", "sojourn").values[i, j]
                 text = f"{value:.0f}\n{measured:.0f}"
             panel.text(j, i, text, ha="center", va="center", fontsize=7)
         panel.set_xticks(range(len(AXES["sojourn"])), [f"{x:g}" for x in AXES["sojourn"]])

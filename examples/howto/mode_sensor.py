@@ -2,7 +2,7 @@
 What is a mode sensor worth?
 ============================
 
-The same law with its mode measured, told late, and with a belief in its place, beside laws that
+The same law with its mode measured, reported late, and with a belief in its place, beside laws that
 know nothing of the mode: over how long modes last, how much noise there is, and how far apart the
 modes are.
 The cost is the median of ``∫|x|²`` over 400 signals, relative to a measured mode.
@@ -15,7 +15,7 @@ import deadtime as dt
 from deadtime.imperfections import ModeDelay, WhiteDisturbance
 
 STEP, HORIZON, LATE, SIGNALS = 0.02, 15.0, 5, 400
-NAMES = ("belief", f"told {LATE} periods late", "averaged", "mean")
+NAMES = ("belief", f"reported {LATE} periods late", "averaged", "mean")
 
 
 def costs(plant, poles, sojourn, noise, x0=(-1.0, 1.0)):

@@ -39,7 +39,7 @@ SERVER = """
 #include "controller.h"
 #define N CONTROLLER_STATES
 #define M CONTROLLER_INPUTS
-/* Requests: number (below 0: stop), time, mode, whether applied is told, x, applied.
+/* Requests: number (below 0: stop), time, mode, whether applied is given, x, applied.
    Answers: number, status, nanoseconds of the step, u. */
 int main(void)
 {
@@ -104,8 +104,8 @@ with tempfile.TemporaryDirectory() as place:
     def ask(number, when, mode, x, applied):
         """One packet there and back."""
         began = time.perf_counter_ns()
-        told = applied if applied is not None else np.zeros(plant.inputs)
-        request = np.concatenate(([number, when, mode, applied is not None], x, told))
+        reported = applied if applied is not None else np.zeros(plant.inputs)
+        request = np.concatenate(([number, when, mode, applied is not None], x, reported))
         wire.sendto(request.tobytes(), address)
         answer = np.frombuffer(wire.recv(1024))
         assert answer[0] == number

@@ -106,7 +106,7 @@ def _switching(fit: Findings, filtered: tuple[np.ndarray, str]) -> list[str]:
     if fit.model is None:
         return ["[signal]", 'kind = "constant"', "mode = 0", ""]
     lines = [fit.model.section(), ""]
-    lines += ['[mode_filter]    # for laws of kind "belief", which are told no mode']
+    lines += ['[mode_filter]    # for laws of kind "belief", which do not read the mode']
     raised, why = filtered
     lines += [f"disturbance = {_lists(raised)}"] if why else _disturbance("disturbance", fit)
     if _alone(fit):
