@@ -52,7 +52,7 @@ def test_a_plant_of_one_state_and_input_is_told_as_a_first_order_process(fit):
     values = [float(re.search(rf"{name} ([\d.]+)", text)[1]) for name in ("gain", "constant")]
     assert values == pytest.approx([0.8, 2.0], rel=0.05)
     assert text.endswith(f"dead time {fit.delays[0, 0]:.3g} s.")
-    assert "Balance point near the log's first row: level = " in fit.message
+    assert "Balance point near the log's mean input: level = " in fit.message
 
 
 def test_rests_of_many_logs_scatter_about_the_true_one_as_their_standard_errors_say():
