@@ -88,7 +88,8 @@ for name, believed in (("own delays", delays), ("0.55 min", 0.55)):
 # delay changes with the mode. Cost is the mean over 400 signals; the margin is by how much both
 # true delays may be longer, in every mode held; the dwell time is the shortest with which the loop
 # is proved stable. 0.05 s, a period, is the shortest that can be asked about. Taking the
-# throttle's delay for both costs 2 % less than the truth does, and leaves a fourteenth of its margin.
+# throttle's delay for both costs 2 % less than the true delays, and leaves a fourteenth of the
+# margin.
 
 car = dt.problems.follower()
 late = dt.SwitchedSystem(car.plant.A, car.plant.B, [[0.4], [0.1]])

@@ -84,12 +84,14 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
         left = low if left <= estimate.log.bounds[0] else left
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
-        sentences.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
         if cut and not vague:
+            # The likelihood may be larger beyond the range, so that nothing is said without it.
             sentences.append(
-                f"The interval of {name[0].lower()}{name[1:]} ends where the range searched does: "
-                "if the delay may lie beyond, widen delay=(low, high), --delay LOW HIGH."
+                f"{name} is {D:.{digits}g} s if it lies in the range searched, which ends within "
+                f"its 95 % interval ({ends}): widen delay=(low, high), --delay LOW HIGH."
             )
+        else:
+            sentences.append(f"{name} is {D:.{digits}g} s, at 95 % within {ends}.")
         if vague:
             several = bool(estimate.several[place])
             apart = ", and others that lie apart explain it nearly as well" if several else ""
