@@ -157,7 +157,7 @@ def test_every_step_of_bursts_within_an_average_dwell_time_is_in_the_graph(avera
 
 def test_loops_out_of_reach_are_left_open_with_the_reason():
     oracle = dt.ExactPredictor(PAIR, plants.gains(PAIR))
-    assert "needs a preview of the signal" in undecided(PAIR, oracle, 0.3, 0.1)
+    assert "no fixed controller to certify" in undecided(PAIR, oracle, 0.3, 0.1)
     rule = dt.HalfSpace([1.0, 0.0], 0.0)
     dependent = dt.StateDependentPredictor(PAIR, plants.gains(PAIR), rule)
     assert "is no table but a nonlinear law" in undecided(PAIR, dependent, 0.3, 0.1)

@@ -259,7 +259,7 @@ def test_a_log_of_each_law_and_a_name_that_is_no_csv(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([*out, str(tmp_path / "both.csv")])
     assert {one.name for one in tmp_path.glob("both*.csv")} == {
-        "both-1-averaged.csv", "both-2-averaged.csv"
+        "both-averaged.csv", "both-averaged-2.csv"
     }  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def test_covariances_of_a_kalman_filter_are_numbers_diagonals_or_matrices():
     for process, measurement in ((0.2, 0.01), ([0.2] * 3, [0.01] * 2)):
         short = dt.kalman(PLANT, C, process, measurement, STEP)
         np.testing.assert_array_equal(short.gain, whole.gain)
-    with pytest.raises(dt.ArgumentError, match="measurement must be positive definite, got an"):
+    with pytest.raises(dt.ArgumentError, match="measurement must be positive definite, got 0"):
         dt.kalman(PLANT, C, 1.0, 0.0, STEP)
 
 

@@ -284,4 +284,4 @@ def test_monte_carlo_draws_from_a_chain_at_samples(load, capsys):
     with pytest.raises(SystemExit) as end:
         main(["monte-carlo", "p.toml", "--scenarios", "2", "--out", "p.png"])
     assert end.value.code == 0
-    assert "MarkovChain(modes=3, step=0.2" in capsys.readouterr().out
+    assert "drawn from [switching]: mean sojourns 1" in capsys.readouterr().out

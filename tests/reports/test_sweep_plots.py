@@ -358,7 +358,7 @@ def test_json_and_files_of_laws_that_are_spelled_alike(run):
         "store": "mine.zarr",
         "metric": "decay_rate",
         "left_out": None,
-        "written": ["there/heat-decay_rate-1-a-b.png", "there/heat-decay_rate-2-a-b.png"],
+        "written": ["there/heat-decay_rate-a-b.png", "there/heat-decay_rate-a-b-2.png"],
     }
 
 

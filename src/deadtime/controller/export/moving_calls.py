@@ -173,8 +173,7 @@ def belief_calls(run: RunningLaw, amplitude: float) -> Iterator[_Call]:
     hidden = run.mode_belief is not None and run.mode_belief.bank is None
     modes = lasting_modes(run, rng, min(run.table.ages + 12, _MOST_STAY))
     for k, (mode, missed, early, when) in enumerate(slots(modes, run.step)):
-        # Under its own inputs an unstable controller's round-off grows: most calls report others.
-        applied, u = inputs_of(run, rng, amplitude, k, k % 20 != 3)
+        applied, u = inputs_of(run, rng, amplitude, k, k % 3 == 0)
         x = motion.next(mode, u, 1 if hidden else 1 + missed)
         if not early and k:
             motion.x = x.copy()
