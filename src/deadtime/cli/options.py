@@ -89,7 +89,7 @@ def problem_with(
 
 
 def mode_of(problem: Problem, mode: str | None) -> int | None:
-    """The number of a mode of the problem that is given by its name or, if none has it, its number."""
+    """The number of a mode that is given by its name or, if none has that, its number."""
     from deadtime.base.checks import index
     from deadtime.problems.file.mode_names import mode_numbers
 
