@@ -84,6 +84,19 @@ def test_delays_are_said_by_the_names_of_inputs_and_modes(per_mode, tmp_path):
     assert "Delay of &lt;b&gt;" in identified_html(found)
 
 
+def test_a_delay_that_is_not_found_has_no_number_on_the_page(tmp_path):
+    rng, t = np.random.default_rng(0), H * np.arange(300)
+    x, u = Plant([[[-1.0]]], [[[1.0]]], [[0.312]]).log(t, rng.choice([-1.0, 1.0], (300, 1)), rng)
+    content = pd.DataFrame({"t": t, "x1": x[:, 0], "u1": u[:, 0]}).to_csv(index=False).encode()
+    asked = look_at("tank.csv", content, tmp_path).guess._replace(delay=(0.0, 0.3115))
+    found, fit = open_log("tank.csv", content, tmp_path, asked)
+    assert fit.delays_not_found == ("delay",)
+    page = identified_html(found)
+    assert "Delay not found</div>" in page
+    assert "at 95&nbsp;%" not in page
+    assert all("Nothing is known of the delay" in one for one in found.verdicts)
+
+
 def test_a_log_becomes_the_problem_that_identify_makes(log, tmp_path):
     path = tmp_path / "own.csv"
     path.write_bytes(log)

@@ -63,13 +63,20 @@ def test_a_delay_beyond_the_range_is_not_found_and_the_exit_code_says_so(folder,
     )
     assert code == 1
     assert text.replace("\n", " ").startswith(
-        "Delay not found: the best fit is at the end of the range 0 … 0.25 s. "
+        "Delay not found: the best fit is at the longest delay of the range searched, 0 … 0.25 s. "
         "Repeat with --delay 0 3"
     )
     assert text.partition("\ndelay")[2].split()[:2] == ["0.25", "disturbance[0][0,0]"]
     kept = out.read_text(encoding="utf-8")
-    assert kept.startswith("# Delay not found: the best fit is at the end of the range 0 … 0.25 s")
+    assert kept.startswith("# Delay not found: the best fit is at the longest delay of the range")
     assert "delay = 0.25    # s; not found: see above" in kept
+    assert "covariance" not in kept
+    beside = [folder / "log.csv", "--one-mode", "--delay", 0, 0.25, "--beside", out, "--json"]
+    record = json.loads(said(beside, capsys)[1])
+    assert record["delay_interval"] == [[None]]
+    assert record["intervals"]["delay"] is None
+    assert len(record["intervals"]["A[0][0,0]"]) == 2
+    assert "held: Nothing is known of the delay, not found" in record["sentences"][-1]
 
 
 def test_a_terminal_is_told_what_is_being_done(folder):

@@ -80,7 +80,8 @@ def test_inputs_that_move_together_are_named():
 def test_a_delay_outside_the_range_is_said():
     below = said(GOOD, delay=(0.0, 0.2))
     assert below.startswith(
-        "Delay not found: the best fit is at the end of the range 0 … 0.2 s. Repeat with delay=(0, "
+        "Delay not found: the best fit is at the longest delay of the range searched, 0 … 0.2 s. "
+        "Repeat with delay=(0, "
     )
     for bounds in ((0.0, 0.2), (0.0, 0.25), (0.5, 1.0)):
         text = f"a delay outside the range searched, {bounds[0]:g} … {bounds[1]:g} s: widen"

@@ -267,7 +267,7 @@ def test_an_unknown_that_is_not_there_is_refused():
 def test_a_delay_beyond_the_range_is_said_not_to_be_found():
     fit = dt.identify(made(ONE), modes=None, delay=(0.0, 0.28), noise=False)
     assert fit.delays[0, 0] == pytest.approx(0.28)
-    assert "Delay not found: the best fit is at the end of the range 0 … 0.28 s" in fit.message
+    assert "the best fit is at the longest delay of the range searched, 0 … 0.28 s" in fit.message
     assert fit.delays_not_found == ("delay",)
     assert not fit.tests.unrelated
 

@@ -70,6 +70,14 @@ def test_an_order_of_1_and_logged_states_are_the_same_question():
     assert one.message.replace("x1", "y1") == other.message
 
 
+def test_the_balance_point_of_logs_of_which_one_begins_at_rest_is_said_to_be_of_that():
+    first, second = motor([0.5], [1.0], level=3.0), motor([0.02, 2.0], [1.0, -1.0], level=3.0)
+    second = second[60:].assign(t=second.t - second.t[60])
+    near = "Balance point near the first row of a log that begins at rest: "
+    assert near in dt.identify([second, first], modes=None).message
+    assert "near the log's first row: " in dt.identify([first, first], modes=None).message
+
+
 def test_who_knows_that_inputs_were_others_before_the_log_says_so():
     fit = dt.identify(motor([0.5], [1.0], level=3.0), modes=None, rest=False)
     assert "first row" not in fit.message

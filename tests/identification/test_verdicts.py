@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import deadtime as dt
+from deadtime.identification.problem_text import problem_text
 from synthetic_logs import Plant
 
 H, T = 0.05, 240
@@ -44,11 +45,10 @@ def test_a_delay_that_is_told_has_enough():
             (0.5, 1.0),
             "the interval of the delay ends at the edge of the range searched",
         ),
-        (log(WHITE), (0.0, 0.3121), "the delay lies at the edge of the range searched"),
         (log(FAINT), (0.0, 1.0), "the log hardly tells the delay"),
         (log(ALTERNATE), (0.0, 1.0), "the log hardly tells the delay"),
     ],
-    ids=["too short a range", "too late a range", "cut", "faint", "periodic"],
+    ids=["too short a range", "too late a range", "faint", "periodic"],
 )
 def test_nothing_is_enough_of_a_delay_that_is_not_told(table, bounds, doubt):
     fit = dt.identify(table, None, bounds, noise=False)
@@ -57,6 +57,40 @@ def test_nothing_is_enough_of_a_delay_that_is_not_told(table, bounds, doubt):
         assert "not enough, for " in said
         assert ": enough" not in said
         assert "100 decay" not in said
+
+
+@pytest.mark.parametrize(
+    ("bounds", "end", "advice"),
+    [
+        ((0.1, 0.3121), "longest delay of the range searched, 0.1 … 0.3121 s", "--delay 0.1 1."),
+        ((0.32, 1.0), "shortest delay of the range searched, 0.32 … 1 s", "--delay 0 1."),
+    ],
+)
+def test_of_a_delay_not_found_no_number_is_given_and_the_end_it_lies_at_is_widened(
+    bounds, end, advice
+):
+    fit = dt.identify(log(WHITE), None, bounds, noise=False)
+    assert fit.delays_not_found == ("delay",)
+    assert f"the best fit is at the {end}" in fit.sentences[0]
+    assert fit.sentences[0].endswith(advice)
+    for said in verdict(fit):
+        assert said.startswith("Nothing is known of the delay, not found in the range searched")
+        assert not any(sign.isdigit() for sign in said)
+    assert "covariance" not in problem_text(fit)
+
+
+INTEGRATOR = Plant([[[-1e-4]]], [[[1.0]]], 0.312, 1e-2 * np.eye(1))
+
+
+def test_gain_and_time_constant_are_given_only_where_the_log_tells_them():
+    slow = dt.identify(log(WHITE, plant=INTEGRATOR), None, (0.0, 1.0), noise=False)
+    low, high = slow.interval("A[0][0,0]")
+    assert low < 0.0 < high
+    assert "not told apart from an integrator: A may be 0." in slow.message
+    vague = dt.identify(log(ALTERNATE), None, (0.0, 1.0), noise=False)
+    assert vague.interval("A[0][0,0]")[1] < 0.0
+    for fit in (slow, vague):
+        assert "first-order" not in fit.message
 
 
 def test_nor_of_residuals_that_are_not_white():

@@ -122,6 +122,15 @@ def test_names_of_modes_must_be_unambiguous(loaded):
         dt.ProblemFileError, match=r"\[observer\]: model = 'mean' is .* a mode, too"
     ):
         loaded('"throttle"', '"mean"', SIGNAL, observer)
+    without = observer.replace('\nmodel = "mean"', "")
+    assert loaded('"throttle"', '"modes"', SIGNAL, without).modes == ("modes", "brake")
+
+
+def test_a_mode_of_the_command_line_is_a_name_before_it_is_a_number(loaded):
+    problem = loaded('["throttle", "brake"]', '["1", "2"]', '"brake"', "1")
+    assert [options.mode_of(problem, mode) for mode in ("1", "2", "0", None)] == [0, 1, 0, None]
+    with pytest.raises(dt.ArgumentError, match="mode must be"):
+        options.mode_of(problem, "3")
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
 """The shifted exponential of the command line is SciPy's, without SciPy."""
 
 import numpy as np
-from scipy.stats import expon
+import pytest
+from scipy.stats import expon, gamma
 
 from deadtime import SemiMarkov
-from deadtime.switching.models.sojourns import ShiftedExponential, describe
+from deadtime.switching.models.sojourns import ShiftedExponential, describe, in_words
 
 
 def test_it_is_the_distribution_of_scipy():
@@ -23,3 +24,9 @@ def test_it_draws_the_same_signals():
     ]
     assert np.array_equal(draws[0].times, draws[1].times)
     assert np.array_equal(draws[0].modes, draws[1].modes)
+
+
+@pytest.mark.parametrize("sojourn", [expon(1.0, 1.0), expon(loc=1.0), gamma(1.0, 1.0)])
+def test_a_shift_is_in_words_however_it_is_given(sojourn):
+    assert in_words(sojourn).startswith("1 s plus ")
+    assert in_words(sojourn).endswith(", mean 2 s")

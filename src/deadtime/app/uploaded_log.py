@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Callable
@@ -38,6 +39,7 @@ MOST_ROWS = 200_000
 _MOST_COLUMNS = 40
 _LONGEST = 2.0  # seconds: the longest delay that is looked for unless another is said,
 _PERIODS = 60  # and in periods
+_NO_INTERVAL = math.nan, math.nan
 # What the page begins with; it offers the others, some of which take seconds.
 _LAWS = b"".join(b'\n[[law]]\nkind = "%s"\n' % kind for kind in (b"averaged", b"mean", b"exact"))
 
@@ -101,7 +103,7 @@ class Columns(NamedTuple):
 class IdentifiedPlant(NamedTuple):
     """A problem made of a log, and the results of its identification.
 
-    delays : name, estimate and the ends of the interval of each, seconds
+    delays : name, estimate and the ends of the interval of each, seconds; NaN if not found
     verdicts : delay errors that the laws tolerate, beside the uncertainty of the log
     rows : every unknown, its estimate and the ends of its interval
     pictures : predictions, modes and what is left
@@ -225,7 +227,11 @@ def open_log(
     verdicts, text = _verdicts(fit, saved), saved.read_bytes()
     saved.unlink()
     document = open_upload(saved.stem, text, folder)
-    delays = tuple((called, fit.estimate(one), *fit.interval(one)) for one, called in _delays(fit))
+    missing = fit.delays_not_found
+    delays = tuple(
+        (called, fit.estimate(one), *(_NO_INTERVAL if one in missing else fit.interval(one)))
+        for one, called in _delays(fit)
+    )
     low, high = request.delay
     sentences = (*fit.sentences, f"Delays were looked for between {low:g} and {high:g} s.")
     rows = tuple(map(tuple, interval_rows(fit)))
@@ -289,6 +295,8 @@ def identified_html(plant: IdentifiedPlant) -> str:
 
 
 def _off(value: float, low: float, high: float) -> str:
+    if math.isnan(low):
+        return ""
     up, down = f"{1e3 * (high - value):.2g}", f"{1e3 * (value - low):.2g}"
     return f"± {up} ms" if up == down else f"+ {up} / − {down} ms"
 

@@ -60,7 +60,7 @@ def certify(
     lost_samples: int = 0,
     uncertain: bool = False,
     least_dwell_time: bool = False,
-    mode: int | str | None = None,
+    mode: str | None = None,
     longest_mode_lag: bool = False,
     explain: options.Flag = False,
     out: options.File = None,

@@ -42,7 +42,7 @@ def design(
     *,
     delay_margin: float | None = None,
     law: Kind = "averaged",
-    mode: int | str | None = None,
+    mode: str | None = None,
     step: options.Step = None,
     longest_step: float | None = None,
     decay_rate: float = 0.0,

@@ -251,6 +251,15 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
     point, rest = fit.operating_point, None
     if point is not None:
         rest = {"x": point.x, "u": point.u, "x_error": fit.rest_error, "offset": fit.offset}
+    missing = set(fit.delays_not_found)
+    delay_ends = [
+        [
+            None if missing & {"delay", f"delay[{j}]", f"delay[{i}][{j}]"} else ends
+            for j, ends in enumerate(row)
+        ]
+        for i, row in enumerate(fit.delay_interval.tolist())
+    ]
+    ends = {name: None if name in missing else fit.interval(name) for name in listed_names(fit)}
     return {
         "samples": fit.samples,
         "step": fit.step,
@@ -258,12 +267,12 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "A": fit.plant.A,
         "B": fit.plant.B,
         "delays": fit.delays,
-        "delay_interval": fit.delay_interval,
+        "delay_interval": delay_ends,
         "delays_not_found": fit.delays_not_found,
         "operating_point": rest,
         "disturbance": fit.disturbance,
         "noise": fit.noise,
-        "intervals": {name: list(fit.interval(name)) for name in listed_names(fit)},
+        "intervals": ends,
         "log_likelihood": fit.log_likelihood,
         "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
         "sentences": sentences,

@@ -88,14 +88,16 @@ def problem_with(
     return problem_with_run(place, changes) if changes else problem_of(place)
 
 
-def mode_of(problem: Problem, mode: int | str | None) -> int | None:
-    """The number of a mode of the problem that is given by its number or name."""
+def mode_of(problem: Problem, mode: str | None) -> int | None:
+    """The number of a mode that is given by its name or, if none has that, its number."""
     from deadtime.base.checks import index
     from deadtime.problems.file.mode_names import mode_numbers
 
     if mode is None:
         return None
-    return index("mode", mode_numbers("mode", mode, problem.modes), problem.plant.modes)
+    digits = mode not in problem.modes and mode.removeprefix("-").isdecimal()
+    number = mode_numbers("mode", int(mode) if digits else mode, problem.modes)
+    return index("mode", number, problem.plant.modes)
 
 
 def law_of(problem: Problem, name: str | None) -> tuple[str, Law]:

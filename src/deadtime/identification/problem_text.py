@@ -94,7 +94,9 @@ def _operating_point(fit: Findings) -> list[str]:
 
 
 def _uncertainty(fit: Findings) -> list[str]:
-    """The covariance of all that was identified, to seven digits: a row a line."""
+    """The covariance of all that was identified, to seven digits; nothing if a delay is missing."""
+    if fit.delays_not_found:
+        return []
     rows = fit.uncertain.covariance
     lines = ["[uncertainty]    # of A row by row, mode by mode, then B, then the delays"]
     lines += ["covariance = [", *(f"  [{', '.join(f'{v:.6e}' for v in row)}]," for row in rows)]

@@ -74,7 +74,8 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
     low, high = estimate.searched
     names, sentences, values = delay_names(recording, estimate), [], estimate.delays
     missed = estimate.missed
-    sentences += [_not_found(name, recording, (low, high)) for name in compress(names, missed)]
+    for name, D in compress(zip(names, values, strict=True), missed):
+        sentences.append(_not_found(name, float(D), recording, (low, high)))
     each = zip(names, values, estimate.intervals, *_range_flags(estimate, recording), strict=True)
     for place, (name, D, (left, right), at_edge, cut, vague) in enumerate(each):
         if missed[place]:
@@ -107,14 +108,17 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
     return sentences
 
 
-def _not_found(name: str, recording: Recording, searched: tuple[float, float]) -> str:
-    """The sentence on a delay that is not found, with a range up to a tenth of the log's length."""
-    low, high = searched
-    length = max(float(np.ptp(part.time)) for part in recording.parts)
-    wider = float(f"{max(0.1 * length, 2.0 * high):.1g}")
+def _not_found(name: str, D: float, recording: Recording, searched: tuple[float, float]) -> str:
+    """The sentence on a delay D at an end of the range: widen it to 0, or a tenth of the log."""
+    (low, high), end, first, last = searched, "shortest", 0.0, searched[1]
+    if low + high < 2.0 * D:
+        end, first = "longest", low
+        length = max(float(np.ptp(part.time)) for part in recording.parts)
+        last = float(f"{max(0.1 * length, 2.0 * high):.1g}")
     return (
-        f"{name[4].upper()}{name[5:]} not found: the best fit is at the end of the range "
-        f"{low:.4g} … {high:.4g} s. Repeat with delay=(0, {wider:g}), --delay 0 {wider:g}."
+        f"{name[4].upper()}{name[5:]} not found: the best fit is at the {end} delay of the range "
+        f"searched, {low:.4g} … {high:.4g} s. Repeat with delay=({first:.4g}, {last:.4g}), "
+        f"--delay {first:.4g} {last:.4g}."
     )
 
 
@@ -169,17 +173,24 @@ def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
 
 def _first_order(estimate: Estimate, recording: Recording) -> list[str]:
     """K, τ and θ of K e^(−θ s)/(τ s + 1) in each stable mode of a plant of one state and input."""
-    plant = estimate.plant
+    plant, layout = estimate.plant, estimate.log.layout
     if plant.states > 1 or plant.inputs > 1 or estimate.missed.any():
         return []
+    _, cut, vague = _range_flags(estimate, recording)
+    unclear = layout.spread(cut | vague)[:, 0]
     sentences = []
-    for mode, A, B, D in zip(recording.modes, plant.A, plant.B, plant.delays, strict=True):
-        a, b = float(A[0, 0]), float(B[0, 0])
-        if a < 0.0:
-            where = f" in mode {mode}" if plant.modes > 1 else ""
+    for i, mode in enumerate(recording.modes):
+        a, b, D = (float(one[i].item()) for one in (plant.A, plant.B, plant.delays))
+        where = f" in mode {mode}" if plant.modes > 1 else ""
+        of_a, of_b = (np.array(estimate.interval(f"{one}[{i}][0,0]")) for one in "AB")
+        if of_a.prod() <= 0.0:
+            sentences.append(
+                f"Gain and time constant{where} are not told apart from an integrator: A may be 0."
+            )
+        elif a < 0.0 < of_b.prod() and not unclear[i]:
             sentences.append(
                 f"As a first-order process{where}: gain {-b / a:.3g}, time constant "
-                f"{-1.0 / a:.3g} s, dead time {float(D[0]):.3g} s."
+                f"{-1.0 / a:.3g} s, dead time {D:.3g} s."
             )
     return sentences
 
@@ -196,8 +207,10 @@ def _levels(
             for name, v, e in zip(names, values, rest.error, strict=True)
         ]
         there, given = ", ".join(each[: len(states)]), ", ".join(each[len(states) :])
-        started = any(part.rests for part in recording.parts)
-        near = f" near the log's {'first row' if started else 'mean input'}"
+        started = [part.rests for part in recording.parts]
+        near = " near the log's first row" if all(started) else " near the log's mean input"
+        if any(started) and not all(started):  # the level is that of the first log at rest
+            near = " near the first row of a log that begins at rest"
         sentences.append(
             f"Balance point{near if estimate.plant.modes == 1 else ''}: {there} with {given}. "
             "States and inputs are deviations from it."
@@ -377,6 +390,12 @@ def verdict_of(fit: Findings, margin: DelayMargin, law: Law | None, step: float)
     """The text of `Identification.verdict`, of a law that acts every `step` seconds."""
     from deadtime.margins import drawn_stability
 
+    if fit.delays_not_found:
+        named = "the delay" if "delay" in fit.names else " and ".join(fit.delays_not_found)
+        return (
+            f"Nothing is known of {named}, not found in the range searched: the delays that the "
+            "law tolerates are compared with nothing."
+        )
     if fit.doubts:
         return delays_beside(fit.delays, fit.delay_interval, margin, doubt=fit.doubts[0])
     failure = None

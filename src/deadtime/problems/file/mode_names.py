@@ -34,7 +34,7 @@ def _numbered(section: S, names: Sequence[str], path: tuple[str | int, ...]) -> 
     changes: dict[str, Any] = {}
     for key, field in type(section).model_fields.items():
         value, note = getattr(section, key), note_of(field, ModeKey)
-        if note is not None:
+        if note is not None and key in section.model_fields_set:
             with _section(*path):
                 changes[key] = mode_numbers(key, value, names, note.words)
         elif isinstance(value, Section):

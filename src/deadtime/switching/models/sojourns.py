@@ -159,9 +159,11 @@ def in_words(dist: Distribution) -> str:
     if isinstance(dist, Fixed):
         return f"{dist.length:g} s"
     family = getattr(getattr(dist, "dist", None), "name", "") or describe(dist)
-    shift = getattr(dist, "kwds", {}).get("loc", 0.0)
+    shift = 0.0
     if isinstance(dist, ShiftedExponential):
         family, shift = "expon", dist.loc
+    elif parse := getattr(getattr(dist, "dist", None), "_parse_args", None):
+        _, shift, _ = parse(*getattr(dist, "args", ()), **getattr(dist, "kwds", {}))
     family = {"expon": "exponential", "weibull_min": "Weibull", "lognorm": "log-normal"}.get(
         family, family
     )
