@@ -193,7 +193,8 @@ def test_a_weight_of_two_outputs_of_five_states_is_accepted_in_any_basis():
         C = rng.standard_normal((2, 5)) @ np.diag([1, 1, 0, 0, 0])
         T, _ = np.linalg.qr(rng.standard_normal((5, 5)))
         Q = T.T @ (T @ C.T @ C @ T.T) @ T
-        assert dt.Weight((Q + Q.T) / 2, 1).Q == pytest.approx(C.T @ C, abs=1e-13)
+        used = dt.Weight((Q + Q.T) / 2, 1).Q
+        assert used == pytest.approx(C.T @ C, abs=1e-13)
 
 
 def test_a_definite_weight_has_no_round_off():
