@@ -50,3 +50,64 @@ def test_an_ideal_loop_has_no_step_that_an_output_could_answer(tmp_path, monkeyp
     code, _, error = run(capsys, *arguments[:2], "--output", "9")
     assert code == 2
     assert "output must be in 0..2, got 9" in error
+
+
+def problem_file(A, B, K):
+    return f"""
+[plant]
+A = {A}
+B = {B}
+delay = 0.5
+modes = {["calm", "keen"][: len(A)]}
+[gains]
+K = {K}
+[signal]
+kind = "switches"
+times = [0.0]
+modes = [0]
+[run]
+x0 = [1.0]
+horizon = 5.0
+step = 0.05
+[[law]]
+kind = "delayed"
+"""
+
+
+ONE, BOTH = [[[-1.0]]], [[[-1.0]], [[-2.0]]]
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "K", "there", "absent"),
+    [
+        (ONE, [[[1.0]]], [[[-5.0]]], [], ["Phase margin –", "load step"]),
+        (
+            ONE,
+            [[[1.0]]],
+            [[[-0.5]]],
+            ["Phase margin –: none, since the loop gain does not pass 1.", "stays 0.667 off (no"],
+            ["calm, since"],
+        ),
+        (
+            BOTH,
+            [[[1.0]], [[1.0]]],
+            [[[-1.5]], [[-1.0]]],
+            [
+                "Phase margin –: none in keen, since the loop gain does not pass 1.",
+                "x₁ stays up to 0.4 off in calm (no integral action; [servo] on this output",
+            ],
+            ["none in calm"],
+        ),
+        # A state in another unit: 1e-9 of the input's effect.
+        (ONE, [[[1e-9]]], [[[-0.5e9]]], ["stays 6.67e-10 off (no integral action"], []),
+    ],
+)
+def test_details_name_the_modes_that_they_are_about(
+    A, B, K, there, absent, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.toml").write_text(problem_file(A, B, K))
+    _, out, _ = run(capsys, "loop", "one.toml")
+    words = " ".join(out.split())
+    assert [text for text in there if text not in words] == []
+    assert [text for text in absent if text in words] == []

@@ -194,7 +194,21 @@ def test_a_plant_that_is_stable_by_itself_bears_no_effect_at_all():
     law = dt.DelayedStateFeedback(plant, [[[-1e-9]], [[-1e-9]]])
     margin = dt.gain_margin(plant, law, 0.1)
     assert (margin.lower, margin.upper) == (0.0, np.inf)
-    assert margin.message.startswith("gain margin infinite: stable")
+    assert margin.message == (
+        "gain margin infinite: stable in every constant mode at every plant gain from 1e-06 to "
+        "1,000,000 times the model's, all that was tried"
+    )
+
+
+def test_messages_about_a_plant_of_one_mode_name_no_mode():
+    plant = plants.scalar([0.5], 1.0, delay=0.25)
+    law = dt.DelayedStateFeedback(plant, [[[0.0]]], allow_unstable=True)
+    for message in (
+        dt.gain_margin(plant, law, 0.1).message,
+        dt.delay_margin(plant, law, 0.1).message,
+    ):
+        assert "the loop grows at +0.5 /s already" in message
+        assert "mode" not in message
 
 
 def test_laws_that_are_no_table_are_refused_by_name():

@@ -163,6 +163,49 @@ def test_cost_does_not_depend_on_the_units_of_states_and_inputs():
     assert run.metrics(weight)["cost"] == pytest.approx(other.metrics(WEIGHT)["cost"], rel=1e-10)
 
 
+# --- weights with round-off
+
+
+@pytest.mark.parametrize(
+    "Q",
+    [
+        [[1, 1e-17], [1e-17, 0]],
+        [[1e6, 0], [0, -1e-12]],
+        [[1, 2e-17], [-1e-17, -1e-17]],
+        [[1, 0, 0], [0, 3e-17, 5e-17], [0, 5e-17, 1e-17]],
+    ],
+)
+def test_the_round_off_of_a_computed_weight_becomes_0(Q):
+    used = dt.Weight(Q, 1).Q
+    assert used[0, 0] == Q[0][0]
+    assert used.sum() == used[0, 0]
+    disturbance = dt.imperfections.WhiteDisturbance(Q)
+    plant = dt.SwitchedSystem([-np.eye(len(Q))], [np.ones((len(Q), 1))], 0.1)
+    law = dt.SingleModePredictor(plant, np.zeros((1, 1, len(Q))), 0)
+    signal = dt.SwitchingSignal.constant(0)
+    run = dt.simulate(plant, law, signal, np.ones(len(Q)), 1.0, imperfections=[disturbance])
+    assert np.isfinite(run.states).all()
+
+
+def test_a_weight_of_two_outputs_of_five_states_is_accepted_in_any_basis():
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        C = rng.standard_normal((2, 5)) @ np.diag([1, 1, 0, 0, 0])
+        T, _ = np.linalg.qr(rng.standard_normal((5, 5)))
+        Q = T.T @ (T @ C.T @ C @ T.T) @ T
+        used = dt.Weight((Q + Q.T) / 2, 1).Q
+        assert used == pytest.approx(C.T @ C, abs=1e-13)
+
+
+def test_a_definite_weight_has_no_round_off():
+    with pytest.raises(dt.ArgumentError, match="R must be positive definite, got -1e-12 on its"):
+        dt.lqr(MODEL, 1.0, [1e6, -1e-12])
+
+
+def test_small_entries_in_other_units_stay():
+    assert dt.Weight([[1e20, 5e9], [5e9, 1]], 1).Q.tolist() == [[1e20, 5e9], [5e9, 1]]
+
+
 # --- bad weights
 
 
@@ -175,6 +218,9 @@ def test_cost_does_not_depend_on_the_units_of_states_and_inputs():
         ([1e10, -1], 1, "Q must be positive semidefinite, got -1 on its diagonal"),
         ([[1e20, 2e10], [2e10, 1]], 1, "semidefinite, got an eigenvalue -1 when scaled"),
         ([[1e20, 1], [0, 1e-20]], 1, "Q must be symmetric"),
+        ([[1, 1], [0, 0]], 1, "Q must be symmetric"),
+        ([[1e6, 1], [1, 0]], 1, "got an entry other than 0 beside a 0 on its diagonal"),
+        ([[1, 1e-6], [1e-6, -1e-17]], 1, "got an entry other than 0 beside a 0"),
         ([1, float("nan")], 1, "Q[1] must be finite, got nan"),
         (np.zeros((2, 3)), 1, "Q must have shape (n, n) = (2, 2), got (2, 3)"),
         (1, np.ones((1, 1, 1)), "R must have shape (m, m), (m,) or (), got (1, 1, 1)"),

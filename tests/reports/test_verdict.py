@@ -6,12 +6,23 @@ import numpy as np
 import pytest
 
 import deadtime as dt
-from deadtime.imperfections import Dropout
+from deadtime.imperfections import Disturbance, Dropout
 from deadtime.problems.comparison import compare
 from deadtime.reports.report import steps_of, write_report
-from deadtime.reports.verdict import verdict
+from deadtime.reports.verdict import headings_of, table, verdict
 
 PAPER = dt.problems.paper()
+
+
+class Swaying(Disturbance):
+    """A small force of a user's own, as a sine of time: no noise."""
+
+    def draws(self, sizes, lengths, steps, rng):
+        force = 1e-3 * np.sin(0.1 * np.arange(steps))
+        return force[:, None, None] * np.ones((1, len(lengths), 1))
+
+    def spread(self, sizes, pieces):
+        return np.full((sizes.states, 1), sum(tau for _, tau in pieces))
 
 
 def sentences(**changes):
@@ -172,3 +183,30 @@ def test_an_observer_that_is_slower_than_its_loop_is_said_to_be(poles, slow):
     assert ("The observer is slower than the loop that it serves: held in only its error decays at "
             "0.100 /s, the loop on the true state at 0.842 /s" in text) == slow  # fmt: skip
     assert ("observer is slower" in text) == slow
+
+
+@pytest.mark.parametrize(
+    ("imperfection", "in_noise"),
+    [
+        (dt.imperfections.Noise(1e-2), True),
+        (dt.imperfections.Noise(1e-12), False),
+        (dt.imperfections.WhiteDisturbance(1e-4), True),
+        (dt.imperfections.ColouredDisturbance([1e-2], [0.1], [[0.0], [1.0]]), True),
+        (dt.imperfections.StepDisturbance([0.0, 1e-3], 0.0, 1.0), False),
+        (Swaying(), False),
+    ],
+)
+def test_only_a_run_that_noise_keeps_from_falling_is_in_noise(imperfection, in_noise):
+    A = [[[0.0, 1.0], [-1.0, -1.0]]]
+    plant = dt.SwitchedSystem(A, [[[0.0], [1.0]]], 0.1)
+    law = dt.SingleModePredictor(plant, dt.place(plant, [-2.0, -2.5]), 0)
+    signal = dt.SwitchingSignal.constant(0)
+    problem = dataclasses.replace(
+        PAPER, plant=plant, gains=law.gains, laws={"exact": law}, signal=signal, x0=np.ones(2),
+        horizon=20.0, step=0.05, imperfections=(imperfection,), modes=("one",), constants={},
+        published=(),
+    )  # fmt: skip
+    result = compare(problem)
+    assert np.isfinite(result.outcomes["exact"].settling)
+    row = dict(zip(headings_of(result), table(result)[0], strict=True))
+    assert (row["decay, 1/s"] == "in noise") == in_noise

@@ -240,29 +240,38 @@ def require_shape(name: str, array: np.ndarray, shape: tuple[int, ...], form: st
 
 def require_semidefinite(
     name: str, matrix: np.ndarray, tolerance: float = 1e-9, strict: bool = False
-) -> None:
-    """Refuse a matrix that is not symmetric and positive semidefinite, or definite if `strict`.
+) -> np.ndarray:
+    """A symmetric matrix, positive semidefinite or definite if `strict`; others are refused.
 
     The tolerance is that of `correlations`, so that units do not decide what counts as round-off.
+    Only rows that are 0 up to the round-off of the largest entry, as of a computed CᵀQC, become 0.
     """
     kind = "positive definite" if strict else "positive semidefinite"
+    floor = 0.0 if strict else 4.0 * len(matrix) * np.finfo(float).eps * np.abs(matrix).max()
     diagonal = np.diagonal(matrix)
     least = diagonal.min()
-    if least < 0.0 or (strict and least == 0.0):
+    if least < -floor or (strict and least == 0.0):
         raise ArgumentError(f"{name} must be {kind}, got {least:.4g} on its diagonal.")
-    unit = np.sqrt(diagonal)
-    within = np.outer(unit, unit)
-    if (np.abs(matrix - matrix.T) > tolerance * within).any():
+    # Round-off of this size in a 0 on the diagonal hides the square of an entry beside it.
+    unit = np.sqrt(np.where(diagonal > 0.0, diagonal, floor))
+    within, beside = np.outer(unit, unit), np.minimum.outer(diagonal, diagonal) <= 0.0
+    if (np.abs(matrix - matrix.T) > np.where(beside, 1.0, tolerance) * within).any():
         raise ArgumentError(f"{name} must be symmetric: pass (M + M.T) / 2.")
-    if matrix[within == 0.0].any():
+    if (np.abs(matrix) > within)[beside].any():
         raise ArgumentError(
             f"{name} must be {kind}, got an entry other than 0 beside a 0 on its diagonal."
         )
+    matrix = np.where(beside, 0.0, (matrix + matrix.T) / 2.0)
     least = np.linalg.eigvalsh(correlations(matrix))[0]
+    if least < -tolerance * len(matrix):
+        noise = np.abs(matrix).max(axis=1) <= floor
+        matrix = np.where(np.logical_or.outer(noise, noise), 0.0, matrix)
+        least = np.linalg.eigvalsh(correlations(matrix))[0]
     if least < -tolerance * len(matrix) or (strict and least <= 0.0):
         raise ArgumentError(
             f"{name} must be {kind}, got an eigenvalue {least:.4g} when scaled to a unit diagonal."
         )
+    return matrix
 
 
 def correlations(covariance: np.ndarray) -> np.ndarray:

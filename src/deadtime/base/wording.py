@@ -98,7 +98,7 @@ def rounded(value: float, digits: int = 3, *, up: bool = False) -> str:
     ('2.03', '0.3', '0.137', '1.2e-07')
     """
     if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
+        return f"{value:g}".replace("inf", "∞")
     short = Decimal(repr(float(value)))
     unit = Decimal(1).scaleb(short.adjusted() - digits + 1)
     return f"{float(short.quantize(unit, ROUND_CEILING if up else ROUND_FLOOR)):.{digits}g}"
@@ -222,9 +222,8 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
     {'+ only': 'only', '- only': 'only-2', 'mean': 'mean'}
     """
     chosen: dict[str, str] = {}
-    for name in dict.fromkeys(
-        names
-    ):  # no name depends on later ones: a further law renames no file
+    # No name depends on later ones, so that a further law renames no file.
+    for name in dict.fromkeys(names):
         short = free = file_name(name) or "law"
         number = 1
         while free in chosen.values():

@@ -167,7 +167,7 @@ def plain_statement(evidence: Evidence | StretchEvidence) -> tuple[str, ...]:
     sizes = ", ".join((number_of(modes, "mode"), number_of(n, "state"), number_of(m, "input")))
     return (
         f"Valid: the loop{pace_of(evidence)}, {words}{anywhere}.",
-        f"Loop: {which} of {sizes}, input delay{setting.delays.stated}, with a law with "
+        f"Loop: {which} of {sizes}, input delay{setting.delays.stated}, under a law with "
         f"{number_of(len(setting.G), 'set')} of coefficients; period {setting.step!r} s.",
         not_covered(setting.signals),
     )

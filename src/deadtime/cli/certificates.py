@@ -395,6 +395,6 @@ def bound(
     if json_output:
         print_json(bounds_record(bounds))
         return
-    print("For readers of the paper; for a proof use certify.")
     print_answer(bound_sentence(bounds), f"Dwell time {dwell:.4g} s ({source}).", "")
     print_table(bound_headings(bounds, chosen.constants), bound_rows(bounds, chosen.constants))
+    print("\nFor a proof of the sampled loop: deadtime certify.")

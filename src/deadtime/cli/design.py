@@ -197,7 +197,7 @@ def _print(problem: Problem, result: Design, mode: int | None) -> None:
     else:  # in the sentence above
         keep = [i for i in range(len(HEADINGS)) if i != at]
         print_table([HEADINGS[i] for i in keep], [[row[i] for i in keep] for row in rows])
-    print("plain: LQR, or your gains.")
+    print("plain: the gains of the problem.")
     print(f"Cost: {text_of(result.weight)}, each mode held, the mean over |x(0)| = 1.")
     what = "a bound" if result.initial.kind == "noise" else "the largest"
     print(f"Peak |u|: {what} under constant switching signals, for {result.initial.text}.")

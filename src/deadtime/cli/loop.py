@@ -105,13 +105,20 @@ def loop(
         print_table(_STEP_HEADINGS, [_step_row(*each) for each in zip(names, steps, strict=True)])
     print()
     details = [with_names(text, chosen.modes) for text in sentences]
-    if any(each.phase is None for each in view.modes):
-        details.append("Phase margin –: none, since the loop gain does not pass 1.")
+    each_mode = zip(names, growth, view.modes, strict=True)
+    low = [name for name, rate, mode in each_mode if rate < 0.0 and mode.phase is None]
+    if low:
+        where = f" in {', '.join(low)}" if len(names) > 1 else ""
+        details.append(f"Phase margin –: none{where}, since the loop gain does not pass 1.")
     finals = [abs((each.info or {}).get("SteadyStateValue", 0.0)) for each in steps]
-    if not chosen.tracked and max(finals, default=0.0) > 1e-6:
+    if not chosen.tracked and max(finals, default=0.0) > 0.0:
+        final = max(finals)
+        up_to, where = "", ""
+        if len(names) > 1:
+            up_to, where = "up to ", f" in {names[finals.index(final)]}"
         details.append(
-            f"After the load step {shown} stays up to {max(finals):.3g} off (no integral action; "
-            "[servo] removes it)."
+            f"After the load step {shown} stays {up_to}{final:.3g} off{where} (no integral action; "
+            "[servo] on this output removes it)."
         )
     print_details(details)
     print(f"\nFigure: {path}")

@@ -178,9 +178,9 @@ def setting_record(
 
 
 def _seconds(value: float | None, each: tuple[float, ...] | None, up: bool = False) -> str:
-    from deadtime.margins.dwell_time import in_words
+    from deadtime.base.wording import rounded
 
     if value is None or value == float("inf"):
         return "–" if value is None else "any"
     times = (value,) if each is None or len(set(each)) == 1 else each
-    return ", ".join(in_words(one, up=up) for one in times)
+    return ", ".join(rounded(one, 5, up=up) for one in times)

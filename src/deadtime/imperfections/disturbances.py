@@ -86,8 +86,8 @@ class WhiteDisturbance(DrawnDisturbance):
     """White process noise: E[w(t) w(s)ᵀ] = W δ(t − s), with W of the mode if W is per mode.
 
     The states at the samples and at the arrivals of inputs have exactly the distribution of the
-    stochastic differential equation. Paths are smooth within a stretch, which leaves tr(W) h/6 per
-    second out of the mean of ∫|x|².
+    stochastic differential equation. Paths are smooth within a stretch, which leaves at most
+    tr(W) h/6 per second out of the mean of ∫|x|².
 
     Parameters
     ----------

@@ -174,7 +174,7 @@ def constant_delay_margin(
     worst = max(modes, key=lambda mode: growth[mode], default=None)
     if worst is not None and growth[worst] >= 0.0:
         what = not_decaying(plant, float(growth[worst]))
-        text = f"there is no delay margin, since held in mode {worst} the loop {what}"
+        text = f"there is no delay margin, since {held_in(plant, worst)}the loop {what}"
         return DelayMargin(
             None, None, worst, worst, None, None, growth, nominal, text, False, input, differ
         )
@@ -253,6 +253,11 @@ def _stable(
 def in_every(plant: SwitchedSystem) -> str:
     """The modes of a margin, for sentences; empty for a plant of one mode."""
     return " in every constant mode" if plant.modes > 1 else ""
+
+
+def held_in(plant: SwitchedSystem, mode: int) -> str:
+    """The mode that is held, before "the loop" in sentences; empty for a plant of one mode."""
+    return f"held in mode {mode} " if plant.modes > 1 else ""
 
 
 def of_input(input: int | None, names: Sequence[str] | None = None) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from deadtime.base.checks import index, number, positive
 from deadtime.base.errors import ArgumentError
+from deadtime.base.wording import rounded
 from deadtime.feedback import Law
 from deadtime.feedback.law import require_match
 from deadtime.feedback.recurrence import recurrence_of
@@ -371,22 +372,7 @@ def _of(shape: DwellShape, article: str = "") -> str:
 def _each(time: float, shape: DwellShape, *, up: bool = False) -> str:
     times = shape.dwell_times(time) if shape.mode is None else (time,)
     times = times[:1] if shape.alike else times
-    return ", ".join(in_words(one, up=up) for one in times)
-
-
-def in_words(dwell_time: float, *, up: bool = False) -> str:
-    """Five digits, rounded up or down so that the statement stays true.
-
-    Examples
-    --------
-    >>> in_words(2.00310371, up=True), in_words(1.77457964)
-    ('2.0032', '1.7745')
-    """
-    if not math.isfinite(dwell_time):
-        return "∞"
-    unit = 10.0 ** (math.floor(math.log10(dwell_time)) - 4)
-    whole = math.ceil if up else math.floor
-    return f"{whole(dwell_time / unit) * unit:.5g}"
+    return ", ".join(rounded(one, 5, up=up) for one in times)
 
 
 def _evaluations(questions: Questions) -> tuple[tuple[float, bool | None], ...]:

@@ -21,7 +21,7 @@ from deadtime.base.checks import positive
 from deadtime.base.frozen import Frozen
 from deadtime.base.wording import inwards
 from deadtime.feedback import Law
-from deadtime.margins.delay import in_every
+from deadtime.margins.delay import held_in, in_every
 from deadtime.numerics.small_matrices import inverses, matched
 from deadtime.plant import SwitchedSystem
 from deadtime.spectrum import growth_rate, least_growth
@@ -114,7 +114,7 @@ def gain_margin(plant: SwitchedSystem, law: Law, step: float | None = 0.01) -> G
         worst = int(growth.argmax())
         what = not_decaying(plant, growth[worst])
         factors, stable = _stabilising(plant, law, step)
-        text = f"there is no gain margin: held in mode {worst} the loop {what}; "
+        text = f"there is no gain margin: {held_in(plant, worst)}the loop {what}; "
         text += _cure(factors, stable, in_every(plant))
         return GainMargin(None, None, worst, worst, growth, text, factors if stable else None)
     lower, upper = _around(plant, law, step)
@@ -284,7 +284,8 @@ def _sentence(lower: _End, upper: _End, every: str) -> str:
     (low, low_mode), (high, high_mode) = lower, upper
     low_text, high_text = inwards(low, 1.0), inwards(high, 1.0)
     if low_mode is None and high_mode is None:
-        return f"gain margin infinite: stable{every} at every plant gain"
+        tried = f"from {1.0 / _LARGEST:g} to {_LARGEST:,.0f} times the model's, all that was tried"
+        return f"gain margin infinite: stable{every} at every plant gain {tried}"
     text = "gain margins" if low_mode is not None and high_mode is not None else "gain margin"
     if high_mode is None:
         limits, much = low_text, f"above {low_text} times"

@@ -124,13 +124,13 @@ class UncertainPlant(PlantUncertainty):
                 f"covariance must have as many rows and columns as A, B and the delays have "
                 f"entries, {' or '.join(map(str, sizes))}, got {given.shape}."
             )
-        require_semidefinite("covariance", given, _DIGITS)
+        given = require_semidefinite("covariance", given, _DIGITS)
         if given.shape[0] == sizes[0] < sizes[-1] and (plant.delays[0] != plant.delays).any():
             raise ArgumentError(
                 f"covariance must have {sizes[-1]} rows and columns, one of every mode's delays, "
                 f"for modes have delays of their own; got {given.shape}."
             )
-        vars(self).update(plant=plant, covariance=read_only(0.5 * (given + given.T)))
+        vars(self).update(plant=plant, covariance=read_only(given))
 
     def draw(self, count: int, seed: int = 0) -> tuple[SwitchedSystem, ...]:
         """Random plants; delays are at least 0.001 of the most likely ones.

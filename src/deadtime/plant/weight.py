@@ -159,9 +159,8 @@ def weight_part(
         whole = real_array(name, given, form, given.ndim)
     whole = np.diag(whole) if given.ndim == 1 else whole
     whole = require_shape(name, whole, (len(whole),) * 2, f"({letter}, {letter})")
-    require_semidefinite(name, whole, strict=strict)
     # Symmetric to the last bit: a filter that is stored and restored must not drift.
-    whole = read_only((whole + whole.T) / 2.0)
+    whole = read_only(require_semidefinite(name, whole, strict=strict))
     return whole if given.ndim else whole.reshape(())
 
 

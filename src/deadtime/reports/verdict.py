@@ -10,7 +10,6 @@ import numpy as np
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import amount, as_rate, compact, sentence_of
 from deadtime.feedback import Law
-from deadtime.imperfections import StepDisturbance
 from deadtime.laws import (
     DelayedStateFeedback,
     ExactPredictor,
@@ -25,7 +24,7 @@ from deadtime.problems.law_registry import the_problem_law
 from deadtime.problems.unit_checks import disagreement_of, unit_checks_of
 from deadtime.reports.metrics import SETTLES, settling_text
 from deadtime.simulation import Trajectory
-from deadtime.simulation.outcome import pushes, why_untested
+from deadtime.simulation.outcome import NOISES, why_untested
 from deadtime.simulation.tracking import TRACKING_ERROR
 from deadtime.spectrum import growth_rate, least_growth
 from deadtime.spectrum.held_mode_checks import why_left_out
@@ -317,10 +316,10 @@ def table(result: Comparison) -> list[tuple[str, ...]]:
 
 def _at_floor(result: Comparison, name: str) -> bool:
     """Whether a run has settled in its noise, so that |x| no longer shows a decay rate."""
-    noise = [
-        one for one in pushes(result.problem.imperfections) if not isinstance(one, StepDisturbance)
-    ]
-    return bool(noise) and math.isfinite(result.outcomes[name].settling)
+    noisy = any(isinstance(one, NOISES) for one in result.problem.imperfections)
+    # The rate is that of the last half of the run.
+    flat = abs(result.metrics[name]["decay_rate"]) * 0.5 * result.runs[name].end < 1.0
+    return noisy and flat and math.isfinite(result.outcomes[name].settling)
 
 
 def headings_of(result: Comparison) -> tuple[str, ...]:

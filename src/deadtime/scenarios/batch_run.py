@@ -162,9 +162,10 @@ def monte_carlo(
     them, ``attrs["one_by_one_because"]`` the reasons: laws that are no table; laws that draw their
     first estimate or reference, in scenario i by the seed ``scenario_seed(seed, i)``; servos over
     less than a period; and all laws where the plant is disturbed and its delays differ between
-    modes, where an imperfection is a function of the user, or where the plant has more than some 30
-    states (11 for a law that knows the signal) or is a thousand times faster than the period.
-    Scenarios that diverge or vanish run again by `simulate`, too.
+    modes, where a constant force differs between modes, where an imperfection is a function of the
+    user, or where the plant has more than some 30 states (11 for a law that knows the signal) or is
+    a thousand times faster than the period. Scenarios that diverge or vanish run again by
+    `simulate`, too.
 
     Parameters
     ----------

@@ -32,6 +32,8 @@ from deadtime.imperfections import (
 from deadtime.simulation.tracking import SETTLED
 from deadtime.simulation.trajectory import Trajectory, settling_time
 
+# Their mean is 0, so that they hold x nowhere else.
+NOISES = WhiteDisturbance | ColouredDisturbance | Noise
 _TAIL = 0.1  # the last share of a run, in which a run at rest stays settled
 _NEARER = 0.9  # times the largest distance of the quarter before: less is a fall
 _MORE = 1.001  # times the largest distance of the quarter before: more is growth
@@ -186,9 +188,7 @@ def outcome_of(
         elif rest is not None and _norm(rest) <= SETTLED * peak:
             kind = "falls"
         elif rest is not None:
-            # Noise has the mean 0, so that it holds x nowhere else.
-            random = WhiteDisturbance | ColouredDisturbance | Noise
-            forced = any(not isinstance(each, random) for each in pushes(imperfections))
+            forced = any(not isinstance(each, NOISES) for each in pushes(imperfections))
             kind = "settles" if forced or run.followed is not None else kind
         settling = math.inf if kind == "bounded" else until
     events = [t for t in events_of(run, imperfections) if t < settling < math.inf]
