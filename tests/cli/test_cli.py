@@ -96,7 +96,7 @@ def test_reproduce_writes_the_whole_report(folder, capsys):
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert page.count("<li>") >= 5
     assert page.index("unstable if it stops switching") < page.index("Every law on the same signal")
-    assert page.count("data:image/png;base64,") == 17
+    assert page.count("data:image/png;base64,") == 14
     assert "Stable for every signal?" in page
     assert "averaged: Not stable for every admissible signal" in page
     assert "when mode 1 is constant" in page

@@ -76,7 +76,12 @@ def constant_functional(
         at_once, ahead = stages(closed_loop, B, weight * own, delays)
         F += at_once
         windows += [(w.Q[None], w.S, np.where(w.fed, B, 0.0), w.near, w.far) for w in ahead]
-    return functional_of(F[None], windows, lambda times: np.zeros(times.size, np.int64))
+    return functional_of(F[None], windows, _one_row)
+
+
+def _one_row(times: np.ndarray) -> Int[np.ndarray, " time"]:
+    """Row 0 at all times: a module's function, so that laws that keep their functional pickle."""
+    return np.zeros(times.size, np.int64)
 
 
 class Stage(NamedTuple):
