@@ -252,7 +252,7 @@ def test_what_certify_saves_verify_proves(capsys, saved):
         ", for every switching signal with a dwell time of 1.0 s, switching at any instant."
     )
     assert loop.startswith(
-        "Loop: the plant of 2 modes, 3 states, 1 input, input delay 0.2 s, with a"
+        "Loop: the plant of 2 modes, 3 states, 1 input, input delay 0.2 s, under a"
     )
     assert left_out.startswith("Not covered: ")
 
