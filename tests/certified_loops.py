@@ -52,7 +52,7 @@ def proved(*arguments, **options):
     certificate = dt.certify(*arguments, **options)
     assert certificate.stable is True, certificate.message
     assert certificate.proven
-    assert certificate.message.startswith("Stable for every admissible signal")
+    assert certificate.message.startswith("Stable for every admissible switching signal")
     assert ", proved: the loop decays" in certificate.message
     evidence, rate = certificate.evidence, certificate.decay_rate
     assert rate == pytest.approx(-math.log(evidence.rho) / evidence.setting.step, rel=1e-9)

@@ -192,7 +192,9 @@ def test_no_pair_of_modes_and_sojourns_on_the_grid_is_worse_for_a_law(name):
 def test_the_paper_s_law_is_refuted_from_the_known_distance_on(alpha, step, grows):
     worst = dt.falsify(*near_paper(alpha), 0.2, step, budget=QUICK)
     assert (worst.growth_rate > 0.0) == grows
-    assert worst.message.startswith("The loop grows" if grows else "No admissible signal was found")
+    assert worst.message.startswith(
+        "The loop grows" if grows else "No admissible switching signal was found"
+    )
 
 
 @pytest.mark.few(1)

@@ -91,7 +91,9 @@ def test_runs_that_all_decay_refute_nothing():
     assert found.growth_rate == pytest.approx(known.growth_rate, abs=5e-3)
     assert len(found.modes) == len(known.modes) == 2
     assert not found.proven
-    assert found.message.startswith("No admissible signal was found that grows; the worst decays")
+    assert found.message.startswith(
+        "No admissible switching signal was found that grows; the worst decays"
+    )
 
 
 def test_a_law_by_a_rule_is_searched():

@@ -98,7 +98,7 @@ def test_reproduce_writes_the_whole_report(folder, capsys):
     assert page.index("unstable if it stops switching") < page.index("Every law on the same signal")
     assert page.count("data:image/png;base64,") == 14
     assert "Stable for every signal?" in page
-    assert "averaged: Not stable for every admissible signal" in page
+    assert "averaged: Not stable for every admissible switching signal" in page
     assert "when mode 1 is constant" in page
     assert "not publish its switching signal" in page
     assert "[−12.6961, −6.3725]" in page

@@ -85,8 +85,8 @@ def test_certify_tabulates_every_law_and_says_why_one_has_no_answer(capsys, made
     code, out, err = run(capsys, "certify", "paper")
     assert (code, err) == (0, "")
     text = " ".join(out.split())
-    assert "averaged no – witness +0.282 0.99 to 1.012" in text
-    assert "mean yes 0.25 yes −0.400 0.99 to 1.012" in text
+    assert "averaged no – witness −0.282 0.99 to 1.012" in text
+    assert "mean yes 0.25 yes +0.400 0.99 to 1.012" in text
     assert "oracle no answer – – –" in text
     assert text.startswith("Stable for every such signal: mean. Not stable: averaged. No answer: m")
     assert "mode 0 only no answer – – – –" in text

@@ -201,8 +201,8 @@ def test_a_margin_says_what_was_found_and_everything_that_was_asked(made_up):
     assert margin.ratio == margin.refuted / margin.certified <= 1.01
     assert margin.proven
     words = (
-        r"At (\S+) proved stable for every admissible signal, at (\S+) not: a growing signal is "
-        r"known\."
+        r"At (\S+) proved stable for every admissible switching signal, at (\S+) not: a growing "
+        r"signal is known\."
     )
     proved, refuted = map(float, re.findall(words, margin.message)[0])
     # Rounded away from what is open: no more is said than was proved.

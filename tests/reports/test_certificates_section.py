@@ -108,7 +108,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
         "witness-mode-1-only",
         "witness-mean",
     ]
-    assert section.rows[0] == ("averaged", "no", "–", "witness", "+0.280", "none")
+    assert section.rows[0] == ("averaged", "no", "–", "witness", "−0.280", "none")
     assert ("oracle", "no answer", "–", "–", "–", "–") in section.rows
     assert section.sentences[0] == "averaged: Not stable: mode 1 for ever."
     assert section.statement == ()
@@ -117,7 +117,7 @@ def test_laws_that_are_refuted_get_a_figure_of_their_witness(made_up):
 def test_a_proof_is_stated_and_needs_no_figure_of_a_witness(made_up):
     section = SimpleNamespace(**certificates_section(compare(closer(0.5))))
     assert section.figures == []
-    assert section.rows == [("averaged", "yes", "0.3", "yes", "−0.400", "none")]
+    assert section.rows == [("averaged", "yes", "0.3", "yes", "+0.400", "none")]
     assert section.statement == ("For every signal.",)
     assert section.statement_of in {row[0] for row in section.rows if row[3] == "yes"}
 

@@ -9,7 +9,7 @@ import deadtime as dt
 from deadtime.imperfections import Disturbance, Dropout
 from deadtime.problems.comparison import compare
 from deadtime.reports.report import steps_of, write_report
-from deadtime.reports.verdict import headings_of, table, verdict
+from deadtime.reports.verdict import DECAY, headings_of, table, verdict
 
 PAPER = dt.problems.paper()
 
@@ -209,4 +209,4 @@ def test_only_a_run_that_noise_keeps_from_falling_is_in_noise(imperfection, in_n
     result = compare(problem)
     assert np.isfinite(result.outcomes["exact"].settling)
     row = dict(zip(headings_of(result), table(result)[0], strict=True))
-    assert (row["decay, 1/s"] == "in noise") == in_noise
+    assert (row[DECAY] == "in noise") == in_noise

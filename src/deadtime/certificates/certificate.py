@@ -83,7 +83,7 @@ class Certificate:
         setting, plants = evidence.setting, evidence.setting.plants
         sets = setting.delays.claim if setting.family.ranges else ""
         sets += "" if plants.known else f" and every plant in the {plants.kind}"
-        message = f"Stable for every admissible signal{sets}, proved: the loop {pace}."
+        message = f"Stable for every admissible switching signal{sets}, proved: the loop {pace}."
         sentences = statement(evidence, checked.cells)
         return cls(True, message, rate, True, sentences, None, evidence, checked.limit)
 
@@ -134,7 +134,7 @@ class Certificate:
         if self.evidence is None:
             raise ArgumentError(
                 f"certificate has no proof to save ({self.message}): only a loop that is stable "
-                "for every admissible signal has one."
+                "for every admissible switching signal has one."
             )
         return save_evidence(self.evidence, require_json("path", path).with_suffix(".json"))
 

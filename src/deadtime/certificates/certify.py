@@ -221,8 +221,8 @@ def _decide(
         return searched[-1]
     return Certificate(
         None,
-        f"Inconclusive: {outcome.reason}, and no admissible signal was proved to grow either. "
-        f"{searched[0].message}",
+        f"Inconclusive: {outcome.reason}, and no admissible switching signal was proved to "
+        f"grow either. {searched[0].message}",
         witness=searched[0].witness,
     )
 
@@ -298,7 +298,7 @@ def _refute(plant: SwitchedSystem, law: Law, setting: Setting, why: str) -> Cert
         where = "" if given else f" at every plant in the {setting.plants.kind}"
         return Certificate(
             False,
-            f"Not stable for every admissible signal{where}{also}: {worst.message}",
+            f"Not stable for every admissible switching signal{where}{also}: {worst.message}",
             witness=worst,
         )
     return Certificate(None, worst.message, witness=worst)

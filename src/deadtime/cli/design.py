@@ -63,8 +63,8 @@ def design(
     Parameters
     ----------
     delay_margin
-        Relative error of the delay to be tolerated: 0.05 for ±5 %. Several delays err alike, by
-        this fraction of the shortest. No margin is required by default.
+        Delay error to be tolerated, as a fraction of the model's delay, not in seconds: 0.05 for
+        ±5 %. Several delays err alike, by this fraction of the shortest. None by default.
     law
         The family of laws: averaged, or mean with the mean of the gains.
     mode

@@ -34,10 +34,12 @@ CellSignals = Annotated[
     int | None, Parameter(help="Signals per cell of the grid, instead of the file's.")
 ]
 FirstLaw = Annotated[
-    str | None, Parameter(help="One law of the problem, by its name; the first by default.")
+    str | None,
+    Parameter(help="One law of the problem, by its name in the tables; the first by default."),
 ]
 AllLaws = Annotated[
-    str | None, Parameter(help="One law of the problem, by its name; all by default.")
+    str | None,
+    Parameter(help="One law of the problem, by its name in the tables; all by default."),
 ]
 _PERIOD = "Sampling period in seconds{}; the problem's by default{}."
 Step = Annotated[float | None, Parameter(help=_PERIOD.format("", ", 0.01 where its loop is ideal"))]

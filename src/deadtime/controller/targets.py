@@ -47,7 +47,7 @@ def _write_c(controller: RunningLaw, folder: Path, options: Mapping[str, Any]) -
     facts |= {"passed": made.check.passed, "check": made.check.message}
     lines = (
         f"C, {own['precision']}: {made.folder}: {', '.join(made.files)}",
-        f"  {made.form}\n  ROM {made.rom:,} bytes, RAM {made.ram:,} bytes",
+        f"  {made.form}\n  tables (ROM) {made.rom:,} bytes, state (RAM) {made.ram:,} bytes",
         f"  self-check: {made.check.message}",
     )
     return Written(facts, [made.folder / name for name in made.files], lines, made.check.passed)

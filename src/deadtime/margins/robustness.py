@@ -233,7 +233,7 @@ def _lost_samples(setting: RobustnessRuns) -> Tolerance:
             f"{setting.where} {what}"
         )
         if failed is None:
-            return f"{text} (no more was tried)"
+            return f"{text} (a higher share was not tried)"
         return f"{text}; with {100 * failed:.3g} % some do{some}"
 
     return tolerance_of(setting, Dropout, _LOST_SHARES, between, setting.scenarios, say)

@@ -362,7 +362,7 @@ def stability_margin(
 
 def _message(found: Bracket) -> str:
     kind = "proved stable" if found.certificate.proven else "stable by numerical evidence"
-    text = f"At {rounded(found.certified, 5)} {kind} for every admissible signal"
+    text = f"At {rounded(found.certified, 5)} {kind} for every admissible switching signal"
     if found.refuted is None:
         text += "; nothing higher was refuted."
         text += "" if found.open else " Look higher."

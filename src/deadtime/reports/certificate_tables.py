@@ -31,13 +31,17 @@ if TYPE_CHECKING:
     from deadtime.margins.delay import DelayMargin
 
 
-HEADINGS = ("law", "stability", "decay, 1/s", "proof", "growth, 1/s", "delay margin, s")
+# In two lines, so that a table fits into 80 columns.
+HEADINGS = (
+    "law", "stability", "proved\ndecay, 1/s", "proof", "slowest decay\nfound, 1/s",
+    "stable for true\ndelay, s",
+)  # fmt: skip
 LEGEND = (
     "Stability: yes, for every such signal; no, |x| grows along one of them; no answer, neither "
-    "was found. Decay: every run falls at least this fast. Proof: yes, of stability; witness, of a "
-    "signal along which |x| grows; both with all rounding errors included. Growth: along the worst "
-    "signal found. Delay margin: the true delays for which the law keeps every constant mode "
-    "stable; of several delays, their common change."
+    "was found. Proved decay: every run falls at least this fast. Proof: yes, of stability; "
+    "witness, of a signal along which |x| grows; both with all rounding errors included. Slowest "
+    "decay found: along the worst signal found; below 0, |x| grows. Stable for true delay: if the "
+    "mode never changes; of several delays, their common change."
 )
 
 
@@ -212,13 +216,13 @@ def certificate_rows(judged: Sequence[Judged]) -> list[tuple[str, ...]]:
     for one in judged:
         rate = one.certificate and one.certificate.decay_rate
         decay = "–" if rate is None else rounded(rate) if rate else "> 0"
-        growth = math.inf if one.worst is None else one.worst.growth_rate
+        slowest = -math.inf if one.worst is None else -one.worst.growth_rate
         rows.append((
             one.law,
             {True: "yes", False: "no", None: "no answer"}[one.stable],
             decay,
             {True: "yes", False: "witness", None: "–"}[one.stable],
-            as_rate(growth) if math.isfinite(growth) else "–",
+            as_rate(slowest) if math.isfinite(slowest) else "–",
             margin_text(one.margin),
         ))  # fmt: skip
     return rows

@@ -330,5 +330,5 @@ def headings_of(result: Comparison) -> tuple[str, ...]:
     return law, TRACKING_ERROR, *others
 
 
-DECAY = "decay, 1/s"  # of |x|, which a law with a reference does not bring to 0
+DECAY = "decay in\nrun, 1/s"  # of |x|, which a law with a reference does not bring to 0
 HEADINGS = ("law", "∫|x|²", "∫|u|²", "cost", "max |x|", SETTLES, DECAY, "|x(T)|")

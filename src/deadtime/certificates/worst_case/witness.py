@@ -279,7 +279,7 @@ def _message(rate: float, proof: GrowthProof, how: str) -> str:
             f"Growth of +{rate:.3g} /s was computed when {how}, but it could not be proved: "
             f"{proof.reason}."
         )
+    none = "No admissible switching signal was found that grows"
     if rate == 0.0:
-        return f"No admissible signal was found that grows; the loop keeps its size when {how}."
-    none = "No admissible signal was found that grows"
+        return f"{none}; the loop keeps its size when {how}."
     return f"{none}; the worst decays at {-rate:.3g} /s, when {how}."

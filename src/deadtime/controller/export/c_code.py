@@ -82,8 +82,8 @@ class Exported:
 
     def __str__(self) -> str:
         return (
-            f"{self.folder}: {', '.join(self.files)}; {self.form}; ROM {self.rom} bytes, "
-            f"RAM {self.ram} bytes; {self.check.message}"
+            f"{self.folder}: {', '.join(self.files)}; {self.form}; "
+            f"tables (ROM) {self.rom} bytes, state (RAM) {self.ram} bytes; {self.check.message}"
         )
 
 
