@@ -61,6 +61,7 @@ def has_code(text):
 
 
 RUN = [name for name, text in PAGES.items() if has_code(text) and name not in ELSEWHERE]
+COMMANDS_ONLY = [name for name in sorted(ELSEWHERE) if "```console" in PAGES[name]]
 # Those that compile laws that no other test needs, or start processes of their own.
 LONG = (
     "howto/add-a-law.md",
@@ -103,7 +104,7 @@ def command(line, capsys):
     return done.stdout
 
 
-def run(name, folder, monkeypatch, capsys):
+def run(name, folder, monkeypatch, capsys, languages=LANGUAGES):
     """Run a page; return the names that its Python leaves, and what was printed."""
     monkeypatch.chdir(folder)
     for package in ("laws", "imperfections"):
@@ -112,6 +113,8 @@ def run(name, folder, monkeypatch, capsys):
         monkeypatch.setattr(module, "__path__", own)
     names, printed, everything = {"__name__": "page"}, None, ""
     for language, text in BLOCK.findall(PAGES[name]):
+        if language not in languages:
+            continue
         file = re.match(r"# ([\w/-]+\.\w+)\n", text)
         if file:
             (folder / file[1]).parent.mkdir(parents=True, exist_ok=True)
@@ -149,6 +152,11 @@ def test_code_of_a_page_runs_and_prints_what_the_page_says(name, tmp_path, monke
         with_added_files(["-c", KNOWN_EVERYWHERE])
     if name == "howto/add-an-imperfection.md":
         with_added_files(["-c", IMPERFECTION_ON_THE_PAGE])
+
+
+@pytest.mark.parametrize("name", COMMANDS_ONLY)
+def test_commands_of_a_page_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
+    run(name, tmp_path, monkeypatch, capsys, ("console", "text"))
 
 
 KNOWN_EVERYWHERE = """

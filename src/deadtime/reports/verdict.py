@@ -199,10 +199,10 @@ def held_in_words(problem: Problem, growth: Sequence[float]) -> tuple[str, str]:
     """
     names, least = problem.modes, least_growth(problem.plant)
     if len(growth) == 1:
-        rate = f" at {as_rate(growth[0])} /s" if math.isfinite(growth[0]) else ""
         if abs(growth[0]) <= least:
             return "not stable", "it neither grows nor decays"
-        grows = growth[0] > least
+        grows, finite = growth[0] > least, math.isfinite(growth[0])
+        rate = f" at {as_rate(growth[0]) if grows else compact(-growth[0])} /s" if finite else ""
         return ("unstable", f"it grows{rate}") if grows else ("stable", f"it decays{rate}")
     if not growth:
         return "not judged", "it has no growth rates with a mode held"
