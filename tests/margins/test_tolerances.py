@@ -73,7 +73,7 @@ def test_what_is_said_to_be_tolerated_settles_and_the_next_period_does_not():
         f"late over 3 s of this signal; with {late.failed:g} the loop no longer settles."
     )
     drops = result.sentences[2]
-    assert drops.endswith("of 1 run over 3 s of this signal settles (a higher share was not tried).")
+    assert drops.endswith("over 3 s of this signal settles (a higher share was not tried).")
     for periods, settled in ((late.tolerated, True), (late.failed, False)):
         run = dt.simulate(
             PLANT, LAW, signal(3.0), [1.0, 0.0], 3.0, STEP,
