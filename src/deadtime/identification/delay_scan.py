@@ -40,6 +40,9 @@ _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
 # Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
 _LOST = 0.5
 
+# The option of each delay: one, an array of them to compare, or None for no such input
+_Options = tuple[int | np.ndarray | None, ...]
+
 
 class DelayScan(NamedTuple):
     """The likeliest plant, and the log likelihood of each cell of a delay, from cell `first` on."""
@@ -63,8 +66,8 @@ def scan_delays(log: NoisyLog, vector: Vector) -> DelayScan:
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
     B = np.zeros((layout.modes, layout.n, layout.acting))
-    B[:, rows, : layout.m] = scan.weights(tuple(places.tolist()))[0]
-    B[:, rows, layout.m :] = scan.constants(tuple(places.tolist()))
+    B[:, rows, : layout.m] = scan.weights(tuple(places))[0].reshape(layout.modes, rows.size, -1)
+    B[:, rows, layout.m :] = scan.constants(tuple(places))
     D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
     theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
     inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
@@ -139,54 +142,52 @@ class _DelayRegressions:
             self.by_constant = (scaled * unit * unit[:, None]) @ gram[self.constant]
             self.gram = gram - gram[:, self.constant] @ self.by_constant
 
-    def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _columns(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:
         """For each mode, row and input with a delay, the columns of two lags and their weights."""
-        of = self.layout.spread(np.arange(self.layout.delays))
+        of, rows = self.layout.spread(np.arange(self.layout.delays)), np.arange(self.rows)
         at, weight = [], []
         for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
             if (place := places[of[i, j]]) is not None:
-                lag, part = divmod(place, _PARTS)
-                later = min(lag + 1, self.place.shape[2] - 1)
-                new = self.share[i, part, :, row]
-                at.append((self.place[i, :, lag, j], self.place[i, :, later, j]))
-                weight.append((new, np.eye(self.rows)[row] - new))
-        size = -1, 2 * self.rows
-        return np.array(at, int).reshape(size), np.array(weight).reshape(size)
+                lag, part = np.divmod(np.asarray(place)[..., None], _PARTS)
+                later = np.minimum(lag + 1, self.place.shape[2] - 1)
+                new, own = self.share[i, part, rows, row], self.place[i, rows, :, j]
+                at.append(np.concatenate((own[rows, lag], own[rows, later]), axis=-1))
+                weight.append(np.concatenate((new, (rows == row) - new), axis=-1))
+        at, weight = (np.stack(np.broadcast_arrays(*one), axis=-2) for one in (at, weight))
+        return at, weight
 
-    def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
-        """B (modes, rows, m), and the sum of squares that it explains."""
+    def weights(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:
+        """B (*options, modes, rows, m), and the sums of squares that it explains."""
+        if all(place is None for place in places):
+            return np.zeros(0), np.zeros(())
         at, share = self._columns(places)
-        if not len(at):
-            return np.zeros(0), 0.0
-        G = np.einsum("ia,jb,iajb->ij", share, share, self.gram[at[:, :, None, None], at])
-        b = np.einsum("ia,ia->i", share, self.gram[at, 0])
-        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G), 1e-300))
-        w = unit * np.linalg.lstsq(G * unit * unit[:, None], b * unit, rcond=1e-10)[0]
-        shape = self.layout.modes, self.rows, -1
-        return w.reshape(shape) if None not in places else w, float(b @ w)
+        G = np.zeros((*at.shape[:-1], at.shape[-2]))
+        for a, b in np.ndindex(2 * (at.shape[-1],)):
+            product = self.gram[at[..., :, None, a], at[..., None, :, b]]
+            G += product * share[..., :, None, a] * share[..., None, :, b]
+        right = (share * self.gram[at, 0]).sum(axis=-1)
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
+        scaled = np.linalg.pinv(G * unit[..., None] * unit[..., None, :], 1e-10, hermitian=True)
+        w = unit * (scaled @ (right * unit)[..., None])[..., 0]
+        return w, (right * w).sum(axis=-1)
 
-    def constants(self, places: tuple[int | None, ...]) -> Float[np.ndarray, "mode row c"]:
+    def constants(self, places: _Options) -> Float[np.ndarray, "mode row c"]:
         """The constant terms with the likeliest weights."""
         at, share = self._columns(places)
         acting = np.einsum("cia,ia->ci", self.by_constant[:, at], share)
-        terms = self.by_constant[:, 0] - acting @ self.weights(places)[0].ravel()
+        terms = self.by_constant[:, 0] - acting @ self.weights(places)[0]
         return terms.reshape(self.layout.modes, self.rows, -1)
 
-    def likelihood(self, places: tuple[int | None, ...]) -> float:
-        """Log likelihood up to a constant."""
-        return 0.5 * self.weights(places)[1]
+    def curve(self, places: _Options, d: int) -> Float[np.ndarray, " option"]:
+        """Log likelihood of all options of a delay with the others fixed, up to a constant."""
+        return 0.5 * self.weights((*places[:d], np.arange(self.options), *places[d + 1 :]))[1]
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest delays, and the log likelihood of each with the others fixed."""
-        delays, options = self.layout.delays, range(self.options)
-        starts = (None,) * delays, tuple(own.tolist())
-        given = options, self.likelihood, _SWEEPS
-        best = max((best_in_turn(one, *given) for one in starts), key=self.likelihood)
-        curves = [
-            [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
-            for d in range(delays)
-        ]
-        return np.array(best), np.array(curves)
+        starts = (None,) * own.size, tuple(own.tolist())
+        tried = (best_in_turn(one, range(self.options), self.curve, _SWEEPS) for one in starts)
+        best = max(tried, key=lambda one: self.weights(one)[1])
+        return np.array(best), np.array([self.curve(best, d) for d in range(own.size)])
 
 
 def largest_maximum(

@@ -76,7 +76,10 @@ def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.nda
         keep = np.concatenate((np.ones(2 * n, bool), known, known, constant))
         return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
-    return np.array(best_in_turn((None,) * layout.m, periods.cells.tolist(), likelihood, 2))
+    def along(best: tuple[int | None, ...], j: int) -> list[float]:
+        return [likelihood((*best[:j], c, *best[j + 1 :])) for c in periods.cells.tolist()]
+
+    return np.array(best_in_turn((None,) * layout.m, periods.cells.tolist(), along, 2))
 
 
 def _own_covariances(

@@ -75,20 +75,22 @@ class Climb(NamedTuple):
 def best_in_turn(
     best: tuple[int | None, ...],
     options: Sequence[int],
-    value: Callable[[tuple[int | None, ...]], float],
+    values: Callable[[tuple[int | None, ...], int], Sequence[float] | np.ndarray],
     sweeps: int,
 ) -> tuple[int | None, ...]:
     """Coordinate search from `best`: the option of largest value for each choice in turn.
 
+    values : of all options of a choice with the others fixed
+
     Examples
     --------
-    >>> best_in_turn((None, 0), range(5), lambda c: (c[0] or 0) * (4 - (c[0] or 0)) - c[1], 4)
+    >>> best_in_turn((None, 0), range(5), lambda c, j: [[0, 3, 4, 3, 0], [2, 1, 0, 0, 0]][j], 4)
     (2, 0)
     """
     for _ in range(sweeps):
         before = best
         for j in range(len(best)):
-            best = max(((*best[:j], c, *best[j + 1 :]) for c in options), key=value)
+            best = (*best[:j], options[int(np.argmax(values(best, j)))], *best[j + 1 :])
         if best == before:
             break
     return best

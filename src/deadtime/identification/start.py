@@ -191,15 +191,15 @@ class _CellScan:
         def likelihood(chosen: tuple[int | None, ...], plausible: bool = False) -> float:
             return sum(self._likelihood(i, chosen, plausible) for i in modes)
 
+        def along(best: tuple[int | None, ...], j: int, plausible: bool = False) -> list[float]:
+            each = ((*best[:j], c, *best[j + 1 :]) for c in self.cells.tolist())
+            return [likelihood(one, plausible) for one in each]
+
         if count**m <= _ALL:
-            table = {c: likelihood(c) for c in itertools.product(self.cells.tolist(), repeat=m)}
-            best = max(table, key=lambda c: table[c])
+            best = max(itertools.product(self.cells.tolist(), repeat=m), key=likelihood)
         else:
-            best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
-        curves = [
-            [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
-            for j in range(m)
-        ]
+            best = best_in_turn((None,) * m, self.cells.tolist(), along, _SWEEPS)
+        curves = [along(best, j, True) for j in range(m)]
         return np.array(best), np.array(curves)
 
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:

@@ -113,9 +113,11 @@ def _follow_by_numpy(Phi, S, size, mode, tau, noisy, M, Q):
 
 
 def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
-    value = terms[mode, -1].transpose(1, 2, 0)
-    for k in range(terms.shape[1] - 2, -1, -1):
-        value = value * s + terms[mode, k].transpose(1, 2, 0)
+    highest, *lower = terms[mode].transpose(1, 2, 3, 0)[::-1]
+    value = highest.copy()
+    for term in lower:
+        value *= s
+        value += term
     return value
 
 
