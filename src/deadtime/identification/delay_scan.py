@@ -35,6 +35,7 @@ _ROUNDS = 3  # of scans, each near the likeliest plant so far
 _BETTER = 0.1  # rise of log likelihood that is worth another round
 # Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
 _GAIN = 1e-4
+_ALIKE = 0.1  # of log likelihood: a start this close to another one leads to the same maximum
 _NEARLY = 3.0  # largest fall of log likelihood at which other delays are tried
 _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
 # Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
@@ -203,10 +204,11 @@ def largest_maximum(
     """
     log = replace(log, bounds=_search_range(log, (*guesses, *climbed)[0]))
     scan, grid = None, replace(log, recording=log.recording.gridded())
-    maxima = [_climb(log, guess) for guess in climbed]
+    starts = list(climbed)
     for guess in guesses:
         scan = scan_delays(grid, guess)
-        maxima.append(_climb(log, scan.with_noise_of(guess)))
+        starts.append(scan.with_noise_of(guess))
+    maxima = [_climb(log, start) for start in _distinct(log, starts)]
     best = max(maxima, key=lambda one: one.value)
     for _ in range(_ROUNDS):
         scan = scan_delays(grid, best.theta)
@@ -247,6 +249,19 @@ def _elsewhere(log: NoisyLog, best: Maximum, scan: DelayScan) -> list[np.ndarray
             theta[place.start + row] = D[near][curve[near].argmax()]
             starts.append(theta)
     return starts
+
+
+def _distinct(log: NoisyLog, starts: list[np.ndarray]) -> list[np.ndarray]:
+    """Starts without those that differ from one before in what the log hardly shows.
+
+    The distance is ½ dᵀ F d, F the information: shares of noise that is negligible in both are one.
+    """
+    kept, begins = starts[:1], log.starts(*log.bounds)
+    for start in starts[1:]:
+        F, apart = log.evaluate(start, begins).information, start - np.array(kept)
+        if not (0.5 * np.einsum("ka,ab,kb->k", apart, F, apart) < _ALIKE).any():
+            kept.append(start)
+    return kept
 
 
 def attributed_to_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:
