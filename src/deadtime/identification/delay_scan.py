@@ -35,14 +35,12 @@ _ROUNDS = 3  # of scans, each near the likeliest plant so far
 _BETTER = 0.1  # rise of log likelihood that is worth another round
 # Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
 _GAIN = 1e-4
-_ALIKE = 0.1  # of log likelihood: a start this close to another one leads to the same maximum
+_ALIKE = 0.1  # of log likelihood: starts so close differ in noise that the log hardly shows
 _NEARLY = 3.0  # largest fall of log likelihood at which other delays are tried
 _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
 # Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
 _LOST = 0.5
-
-# The option of each delay: one, an array of them to compare, or None for no such input
-_Options = tuple[int | np.ndarray | None, ...]
+_Options = tuple[int | np.ndarray | None, ...]  # of each delay: one, several, or no such input
 
 
 class DelayScan(NamedTuple):
@@ -66,9 +64,10 @@ def scan_delays(log: NoisyLog, vector: Vector) -> DelayScan:
     scan = _DelayRegressions(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
+    chosen, shape = tuple(places.tolist()), (layout.modes, rows.size, -1)
     B = np.zeros((layout.modes, layout.n, layout.acting))
-    B[:, rows, : layout.m] = scan.weights(tuple(places))[0].reshape(layout.modes, rows.size, -1)
-    B[:, rows, layout.m :] = scan.constants(tuple(places))
+    B[:, rows, : layout.m] = scan.weights(chosen)[0].reshape(shape)
+    B[:, rows, layout.m :] = scan.constants(chosen)
     D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
     theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
     inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
@@ -143,7 +142,7 @@ class _DelayRegressions:
             self.by_constant = (scaled * unit * unit[:, None]) @ gram[self.constant]
             self.gram = gram - gram[:, self.constant] @ self.by_constant
 
-    def _columns(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:
+    def _columns(self, places: _Options) -> tuple[np.ndarray, ...]:
         """For each mode, row and input with a delay, the columns of two lags and their weights."""
         of, rows = self.layout.spread(np.arange(self.layout.delays)), np.arange(self.rows)
         at, weight = [], []
@@ -154,13 +153,10 @@ class _DelayRegressions:
                 new, own = self.share[i, part, rows, row], self.place[i, rows, :, j]
                 at.append(np.concatenate((own[rows, lag], own[rows, later]), axis=-1))
                 weight.append(np.concatenate((new, (rows == row) - new), axis=-1))
-        at, weight = (np.stack(np.broadcast_arrays(*one), axis=-2) for one in (at, weight))
-        return at, weight
+        return tuple(np.stack(np.broadcast_arrays(*one), axis=-2) for one in (at, weight))
 
     def weights(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:
         """B (*options, modes, rows, m), and the sums of squares that it explains."""
-        if all(place is None for place in places):
-            return np.zeros(0), np.zeros(())
         at, share = self._columns(places)
         G = np.zeros((*at.shape[:-1], at.shape[-2]))
         for a, b in np.ndindex(2 * (at.shape[-1],)):
@@ -170,7 +166,7 @@ class _DelayRegressions:
         unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
         scaled = np.linalg.pinv(G * unit[..., None] * unit[..., None, :], 1e-10, hermitian=True)
         w = unit * (scaled @ (right * unit)[..., None])[..., 0]
-        return w, (right * w).sum(axis=-1)
+        return w, np.asarray((right * w).sum(axis=-1))
 
     def constants(self, places: _Options) -> Float[np.ndarray, "mode row c"]:
         """The constant terms with the likeliest weights."""
@@ -179,16 +175,17 @@ class _DelayRegressions:
         terms = self.by_constant[:, 0] - acting @ self.weights(places)[0]
         return terms.reshape(self.layout.modes, self.rows, -1)
 
-    def curve(self, places: _Options, d: int) -> Float[np.ndarray, " option"]:
-        """Log likelihood of all options of a delay with the others fixed, up to a constant."""
-        return 0.5 * self.weights((*places[:d], np.arange(self.options), *places[d + 1 :]))[1]
+    def likelihood(self, *places: int | np.ndarray | None) -> np.ndarray:
+        """Log likelihood up to a constant."""
+        return np.asarray(0.5 * self.weights(places)[1])
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest delays, and the log likelihood of each with the others fixed."""
-        starts = (None,) * own.size, tuple(own.tolist())
-        tried = (best_in_turn(one, range(self.options), self.curve, _SWEEPS) for one in starts)
-        best = max(tried, key=lambda one: self.weights(one)[1])
-        return np.array(best), np.array([self.curve(best, d) for d in range(own.size)])
+        starts, options = ((None,) * own.size, tuple(own.tolist())), range(self.options)
+        tried = [best_in_turn(one, options, self.likelihood, _SWEEPS) for one in starts]
+        best = max(tried, key=lambda places: self.likelihood(*places))
+        beside = [(*best[:d], np.array(options), *best[d + 1 :]) for d in range(own.size)]
+        return np.array(best), np.array([self.likelihood(*one) for one in beside])
 
 
 def largest_maximum(
@@ -204,11 +201,8 @@ def largest_maximum(
     """
     log = replace(log, bounds=_search_range(log, (*guesses, *climbed)[0]))
     scan, grid = None, replace(log, recording=log.recording.gridded())
-    starts = list(climbed)
-    for guess in guesses:
-        scan = scan_delays(grid, guess)
-        starts.append(scan.with_noise_of(guess))
-    maxima = [_climb(log, start) for start in _distinct(log, starts)]
+    scanned = (scan_delays(grid, guess).with_noise_of(guess) for guess in guesses)
+    maxima = [_climb(log, start) for start in _distinct(log, [*climbed, *scanned])]
     best = max(maxima, key=lambda one: one.value)
     for _ in range(_ROUNDS):
         scan = scan_delays(grid, best.theta)
@@ -252,10 +246,7 @@ def _elsewhere(log: NoisyLog, best: Maximum, scan: DelayScan) -> list[np.ndarray
 
 
 def _distinct(log: NoisyLog, starts: list[np.ndarray]) -> list[np.ndarray]:
-    """Starts without those that differ from one before in what the log hardly shows.
-
-    The distance is ½ dᵀ F d, F the information: shares of noise that is negligible in both are one.
-    """
+    """Starts without those within ½ dᵀ F d < `_ALIKE` of one before, F the information."""
     kept, begins = starts[:1], log.starts(*log.bounds)
     for start in starts[1:]:
         F, apart = log.evaluate(start, begins).information, start - np.array(kept)

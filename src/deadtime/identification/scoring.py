@@ -75,22 +75,21 @@ class Climb(NamedTuple):
 def best_in_turn(
     best: tuple[int | None, ...],
     options: Sequence[int],
-    values: Callable[[tuple[int | None, ...], int], Sequence[float] | np.ndarray],
+    values: Callable[..., np.ndarray],  # of choices, one of them an array of all options
     sweeps: int,
 ) -> tuple[int | None, ...]:
     """Coordinate search from `best`: the option of largest value for each choice in turn.
 
-    values : of all options of a choice with the others fixed
-
     Examples
     --------
-    >>> best_in_turn((None, 0), range(5), lambda c, j: [[0, 3, 4, 3, 0], [2, 1, 0, 0, 0]][j], 4)
+    >>> best_in_turn((2, 0), range(5), lambda c, d: c * (4 - c) - d, 4)
     (2, 0)
     """
     for _ in range(sweeps):
         before = best
         for j in range(len(best)):
-            best = (*best[:j], options[int(np.argmax(values(best, j)))], *best[j + 1 :])
+            each = values(*best[:j], np.array(options), *best[j + 1 :])
+            best = (*best[:j], options[int(each.argmax())], *best[j + 1 :])
         if best == before:
             break
     return best

@@ -188,19 +188,16 @@ class _CellScan:
         m, count = self.layout.m, self.cells.size
         modes = range(self.layout.modes) if mode is None else [mode]
 
-        def likelihood(chosen: tuple[int | None, ...], plausible: bool = False) -> float:
+        def likelihood(*chosen: int | None, plausible: bool = False) -> float:
             return sum(self._likelihood(i, chosen, plausible) for i in modes)
 
-        def along(best: tuple[int | None, ...], j: int, plausible: bool = False) -> list[float]:
-            each = ((*best[:j], c, *best[j + 1 :]) for c in self.cells.tolist())
-            return [likelihood(one, plausible) for one in each]
-
+        each, cells = np.vectorize(likelihood, otypes=[float]), self.cells.tolist()
         if count**m <= _ALL:
-            best = max(itertools.product(self.cells.tolist(), repeat=m), key=likelihood)
+            best = max(itertools.product(cells, repeat=m), key=lambda chosen: likelihood(*chosen))
         else:
-            best = best_in_turn((None,) * m, self.cells.tolist(), along, _SWEEPS)
-        curves = [along(best, j, True) for j in range(m)]
-        return np.array(best), np.array(curves)
+            best = best_in_turn((None,) * m, cells, each, _SWEEPS)
+        beside = [(*best[:j], self.cells, *best[j + 1 :]) for j in range(m)]
+        return np.array(best), np.array([each(*one, plausible=True) for one in beside])
 
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m

@@ -43,8 +43,7 @@ def transitions_of(
     """
     from scipy.linalg import expm
 
-    n = len(A)
-    size = 2 * n
+    n, size = len(A), 2 * len(A)
     if not slopes:
         Phi, W = (one[0] for one in plain_transitions(A[None], times))
         return TransitionMaps(Phi, W, *np.empty((2, times.size, 0, n, n)))
@@ -132,10 +131,10 @@ def noise_tables(
     unit = np.where(row == column, np.diagonal(L)[row], 1.0)
     noise[of_A + np.arange(row.size), row, n:] = unit[:, None] * L[:, column].T
     noise[of_A:, n:, :n] = noise[of_A:, :n, n:].swapaxes(1, 2)
-    mode = np.repeat(np.arange(len(joint)), count)[:, None]
-    rate = np.repeat(rates(A[None]), len(joint))
+    many, rate = len(joint), rates(A[None]).repeat(len(joint))
+    mode = np.indices((many, count))[0].reshape(-1, 1)
     with np.errstate(over="ignore", invalid="ignore"):
-        Q = accumulate(joint, noise, rate, mode, np.tile(times, len(joint))[:, None])[1]
+        Q = accumulate(joint, noise, rate, mode, np.tile(times, many)[:, None])[1]
     Q = Q.reshape(-1, count, 2 * n, 2 * n).swapaxes(0, 1)
     return Q[:, 0, n:, n:].copy(), Q[..., :n, n:] + Q[..., n:, :n]
 

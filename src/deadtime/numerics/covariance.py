@@ -14,6 +14,7 @@ equal results.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -114,11 +115,7 @@ def _follow_by_numpy(Phi, S, size, mode, tau, noisy, M, Q):
 
 def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
     highest, *lower = terms[mode].transpose(1, 2, 3, 0)[::-1]
-    value = highest.copy()
-    for term in lower:
-        value *= s
-        value += term
-    return value
+    return functools.reduce(lambda value, term: value * s + term, lower, highest)
 
 
 def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:
