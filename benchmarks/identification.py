@@ -58,11 +58,12 @@ CASES = {
 ALONE = "position alone"  # of cases that begin so the first state alone is logged
 
 
-LONG = ("long", "long, noisy", "uneven, long", "uneven, long, noisy", f"{ALONE}, long")
+SLOW = {"slow, rows every 5 s": 5.0, "slow, rows every 1 s": 1.0}
+LONG = (*SLOW, "long", "long, noisy", "uneven, long", "uneven, long, noisy", f"{ALONE}, long")
 SIZES = (10_000, 100_000, 1_000_000)
 
 
-def sampled(A, B, D):
+def sampled(A, B, D, step=H):
     """Φ(h), and the weights of u_{k−N} and u_{k−N+1} with N of every input, by exponentials."""
     n, m = B.shape
 
@@ -72,9 +73,9 @@ def sampled(A, B, D):
         E = expm(Z * time)
         return E[:n, :n], E[:n, n:]
 
-    Phi, whole = over(H)
-    N = np.ceil(np.array(D) / H - 1e-9).astype(int)
-    new = np.column_stack([over(N[j] * H - D[j])[1][:, j] for j in range(m)])
+    Phi, whole = over(step)
+    N = np.ceil(np.array(D) / step - 1e-9).astype(int)
+    new = np.column_stack([over(N[j] * step - D[j])[1][:, j] for j in range(m)])
     return Phi, whole - new, new, N
 
 
@@ -106,6 +107,20 @@ def made(case, count, rng):
             x[k + 1] += old[:, j] * (u[late, j] if late >= 0 else 0.0)
             x[k + 1] += new[:, j] * (u[soon, j] if soon >= 0 else 0.0)
     return tabled(H * np.arange(count), mode, y, u)
+
+
+def slow(step, rng):
+    """240 rows of a slow process: lags of 40 and 15 s, dead time 12.7 s, steps, a noisy sensor."""
+    A, B = np.array([[-1 / 40, 1 / 40], [0, -1 / 15]]), np.array([[0], [2 / 15]])
+    Phi, old, new, (N,) = sampled(A, B, [12.7], step)
+    u = np.repeat(rng.choice([-1.0, 0.0, 1.0], 240), round(60 / step))[:240]
+    u[:3] = 0.0
+    x = np.zeros((240, 2))
+    for k in range(239):
+        late, soon = (u[max(k - N + i, 0)] for i in (0, 1))
+        x[k + 1] = Phi @ x[k] + old[:, 0] * late + new[:, 0] * soon
+    y = x[:, 0] + 0.02 * rng.standard_normal(240)
+    return pd.DataFrame({"t": step * np.arange(240), "y1": y, "u1": u})
 
 
 def tabled(t, mode, y, u):
@@ -185,25 +200,31 @@ def speed(sizes, cases):
         [[[0, 1, 0], [0, 0, 1], [-1, -3, -2]], [[0, 1, 0], [0, 0, 1], [-2, -3, -1.5]]], float
     )
     B = np.tile([[0.0], [0.0], [1.0]], (2, 1, 1))
-    for count, case in itertools.product(sizes, cases):
+    for case in [one for one in SLOW if one in cases]:
+        log = slow(SLOW[case], np.random.default_rng(1))
+        timed(f"240 samples, {case}", log, modes=None, delay=(0, 60), order=2)
+    for count, case in itertools.product(sizes, [case for case in cases if case not in SLOW]):
         deviation = 0.02 if "noisy" in case else 0.005 if case.startswith(ALONE) else 0.0
         CASES[case] = A, B, [0.312], 0.03, deviation, None
         log = made(case, count, np.random.default_rng(1))
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        for turn in ("first", "again"):
-            began = time.process_time()
-            known: dict[str, Any] = (
-                alone(3) if case.startswith(ALONE) else {"noise": "noisy" in case}
-            )
-            fit = dt.identify(log, switches="samples", **known)
-            took = time.process_time() - began
-            more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-            low, high = fit.interval("delay")
-            print(
-                f"{count:,} samples, {case}, {turn}: {took:.2f} s, {more / 1024:.0f} MB more, "
-                f"delay {low:.5f} … {high:.5f} s",
-                flush=True,
-            )
+        known: dict[str, Any] = alone(3) if case.startswith(ALONE) else {"noise": "noisy" in case}
+        timed(f"{count:,} samples, {case}", log, switches="samples", **known)
+
+
+def timed(name, log, **known):
+    """Print seconds of a processor and memory of `identify`, twice."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for turn in ("first", "again"):
+        began = time.process_time()
+        fit = dt.identify(log, **known)
+        took = time.process_time() - began
+        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        low, high = fit.interval("delay")
+        print(
+            f"{name}, {turn}: {took:.2f} s, {more / 1024:.0f} MB more, "
+            f"delay {low:.5f} … {high:.5f} s",
+            flush=True,
+        )
 
 
 def main():

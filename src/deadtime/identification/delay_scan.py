@@ -35,10 +35,12 @@ _ROUNDS = 3  # of scans, each near the likeliest plant so far
 _BETTER = 0.1  # rise of log likelihood that is worth another round
 # Rise of log likelihood that ends a climb: of a plant with one pole too many it never converges.
 _GAIN = 1e-4
+_ALIKE = 0.1  # of log likelihood: starts so close differ in noise that the log hardly shows
 _NEARLY = 3.0  # largest fall of log likelihood at which other delays are tried
 _LESS = 1e-4  # factor of W where all noise is attributed to the sensors
 # Share of samples: if the whole range of delays makes more of them unusable, a part is searched.
 _LOST = 0.5
+_Options = tuple[int | np.ndarray | None, ...]  # of each delay: one, several, or no such input
 
 
 class DelayScan(NamedTuple):
@@ -62,9 +64,10 @@ def scan_delays(log: NoisyLog, vector: Vector) -> DelayScan:
     scan = _DelayRegressions(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
     places, curves = scan.best(np.clip(own, 0, scan.options - 1))
+    chosen, shape = tuple(places.tolist()), (layout.modes, rows.size, -1)
     B = np.zeros((layout.modes, layout.n, layout.acting))
-    B[:, rows, : layout.m] = scan.weights(tuple(places.tolist()))[0]
-    B[:, rows, layout.m :] = scan.constants(tuple(places.tolist()))
+    B[:, rows, : layout.m] = scan.weights(chosen)[0].reshape(shape)
+    B[:, rows, layout.m :] = scan.constants(chosen)
     D = np.clip(h * (first - 1 + places / _PARTS), *log.bounds)
     theta = layout.join(layout.split(vector)[0], B, layout.spread(D))
     inside = [curves[:, a : a + scan.options - _PARTS : _PARTS] for a in range(_PARTS + 1)]
@@ -139,54 +142,50 @@ class _DelayRegressions:
             self.by_constant = (scaled * unit * unit[:, None]) @ gram[self.constant]
             self.gram = gram - gram[:, self.constant] @ self.by_constant
 
-    def _columns(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _columns(self, places: _Options) -> tuple[np.ndarray, ...]:
         """For each mode, row and input with a delay, the columns of two lags and their weights."""
-        of = self.layout.spread(np.arange(self.layout.delays))
+        of, rows = self.layout.spread(np.arange(self.layout.delays)), np.arange(self.rows)
         at, weight = [], []
         for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
             if (place := places[of[i, j]]) is not None:
-                lag, part = divmod(place, _PARTS)
-                later = min(lag + 1, self.place.shape[2] - 1)
-                new = self.share[i, part, :, row]
-                at.append((self.place[i, :, lag, j], self.place[i, :, later, j]))
-                weight.append((new, np.eye(self.rows)[row] - new))
-        size = -1, 2 * self.rows
-        return np.array(at, int).reshape(size), np.array(weight).reshape(size)
+                lag, part = np.divmod(np.asarray(place)[..., None], _PARTS)
+                later = np.minimum(lag + 1, self.place.shape[2] - 1)
+                new, own = self.share[i, part, rows, row], self.place[i, rows, :, j]
+                at.append(np.concatenate((own[rows, lag], own[rows, later]), axis=-1))
+                weight.append(np.concatenate((new, (rows == row) - new), axis=-1))
+        return tuple(np.stack(np.broadcast_arrays(*one), axis=-2) for one in (at, weight))
 
-    def weights(self, places: tuple[int | None, ...]) -> tuple[np.ndarray, float]:
-        """B (modes, rows, m), and the sum of squares that it explains."""
+    def weights(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:
+        """B (*options, modes, rows, m), and the sums of squares that it explains."""
         at, share = self._columns(places)
-        if not len(at):
-            return np.zeros(0), 0.0
-        G = np.einsum("ia,jb,iajb->ij", share, share, self.gram[at[:, :, None, None], at])
-        b = np.einsum("ia,ia->i", share, self.gram[at, 0])
-        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G), 1e-300))
-        w = unit * np.linalg.lstsq(G * unit * unit[:, None], b * unit, rcond=1e-10)[0]
-        shape = self.layout.modes, self.rows, -1
-        return w.reshape(shape) if None not in places else w, float(b @ w)
+        G = np.zeros((*at.shape[:-1], at.shape[-2]))
+        for a, b in np.ndindex(2 * (at.shape[-1],)):
+            product = self.gram[at[..., :, None, a], at[..., None, :, b]]
+            G += product * share[..., :, None, a] * share[..., None, :, b]
+        right = (share * self.gram[at, 0]).sum(axis=-1)
+        unit = 1.0 / np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
+        scaled = np.linalg.pinv(G * unit[..., None] * unit[..., None, :], 1e-10, hermitian=True)
+        w = unit * (scaled @ (right * unit)[..., None])[..., 0]
+        return w, np.asarray((right * w).sum(axis=-1))
 
-    def constants(self, places: tuple[int | None, ...]) -> Float[np.ndarray, "mode row c"]:
+    def constants(self, places: _Options) -> Float[np.ndarray, "mode row c"]:
         """The constant terms with the likeliest weights."""
         at, share = self._columns(places)
         acting = np.einsum("cia,ia->ci", self.by_constant[:, at], share)
-        terms = self.by_constant[:, 0] - acting @ self.weights(places)[0].ravel()
+        terms = self.by_constant[:, 0] - acting @ self.weights(places)[0]
         return terms.reshape(self.layout.modes, self.rows, -1)
 
-    def likelihood(self, places: tuple[int | None, ...]) -> float:
+    def likelihood(self, *places: int | np.ndarray | None) -> np.ndarray:
         """Log likelihood up to a constant."""
-        return 0.5 * self.weights(places)[1]
+        return np.asarray(0.5 * self.weights(places)[1])
 
     def best(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The likeliest delays, and the log likelihood of each with the others fixed."""
-        delays, options = self.layout.delays, range(self.options)
-        starts = (None,) * delays, tuple(own.tolist())
-        given = options, self.likelihood, _SWEEPS
-        best = max((best_in_turn(one, *given) for one in starts), key=self.likelihood)
-        curves = [
-            [self.likelihood((*best[:d], c, *best[d + 1 :])) for c in options]
-            for d in range(delays)
-        ]
-        return np.array(best), np.array(curves)
+        starts, options = ((None,) * own.size, tuple(own.tolist())), range(self.options)
+        tried = [best_in_turn(one, options, self.likelihood, _SWEEPS) for one in starts]
+        best = max(tried, key=lambda places: self.likelihood(*places))
+        beside = [(*best[:d], np.array(options), *best[d + 1 :]) for d in range(own.size)]
+        return np.array(best), np.array([self.likelihood(*one) for one in beside])
 
 
 def largest_maximum(
@@ -202,10 +201,8 @@ def largest_maximum(
     """
     log = replace(log, bounds=_search_range(log, (*guesses, *climbed)[0]))
     scan, grid = None, replace(log, recording=log.recording.gridded())
-    maxima = [_climb(log, guess) for guess in climbed]
-    for guess in guesses:
-        scan = scan_delays(grid, guess)
-        maxima.append(_climb(log, scan.with_noise_of(guess)))
+    scanned = (scan_delays(grid, guess).with_noise_of(guess) for guess in guesses)
+    maxima = [_climb(log, start) for start in _distinct(log, [*climbed, *scanned])]
     best = max(maxima, key=lambda one: one.value)
     for _ in range(_ROUNDS):
         scan = scan_delays(grid, best.theta)
@@ -246,6 +243,16 @@ def _elsewhere(log: NoisyLog, best: Maximum, scan: DelayScan) -> list[np.ndarray
             theta[place.start + row] = D[near][curve[near].argmax()]
             starts.append(theta)
     return starts
+
+
+def _distinct(log: NoisyLog, starts: list[np.ndarray]) -> list[np.ndarray]:
+    """Starts without those within ½ dᵀ F d < `_ALIKE` of one before, F the information."""
+    kept, begins = starts[:1], log.starts(*log.bounds)
+    for start in starts[1:]:
+        F, apart = log.evaluate(start, begins).information, start - np.array(kept)
+        if not (0.5 * np.einsum("ka,ab,kb->k", apart, F, apart) < _ALIKE).any():
+            kept.append(start)
+    return kept
 
 
 def attributed_to_sensors(log: NoisyLog, vector: np.ndarray) -> np.ndarray:

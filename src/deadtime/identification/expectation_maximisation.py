@@ -69,14 +69,15 @@ def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.nda
     """The cells with the largest likelihood of separate regressions, inputs in turn, twice."""
     n, constant = layout.n, np.ones(int(layout.constant), bool)
 
-    def likelihood(cells: tuple[int | None, ...]) -> float:
+    def likelihood(*cells: int | None) -> float:
         """Of all stretches, without the inputs that have no cell yet."""
         z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
         known = np.array([c is not None for c in cells])
         keep = np.concatenate((np.ones(2 * n, bool), known, known, constant))
         return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
-    return np.array(best_in_turn((None,) * layout.m, periods.cells.tolist(), likelihood, 2))
+    each = np.vectorize(likelihood, otypes=[float])
+    return np.array(best_in_turn((None,) * layout.m, periods.cells.tolist(), each, 2))
 
 
 def _own_covariances(

@@ -103,10 +103,8 @@ def _pulse_misfits(
     for i, j in entries:
         target = _pulses(A[i], np.array([D]), k, C, step)[0] @ B[i, :, j]
         pulses = _pulses(A[i], grid, k, C, step)
-        own = np.full((grid.size, A.shape[1]), np.nan)
-        for place, pulse in enumerate(pulses):
-            if np.isfinite(pulse).all():
-                own[place] = np.linalg.lstsq(pulse, target, rcond=1e-12)[0]
+        finite = np.isfinite(pulses).all(axis=(1, 2), keepdims=True)
+        own = np.linalg.pinv(np.where(finite, pulses, 0.0), 1e-12) @ target
         misfit += ((np.einsum("gkn,gn->gk", pulses, own) - target) ** 2).sum(axis=1)
         weights.append(own)
     return misfit, weights

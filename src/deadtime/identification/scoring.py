@@ -75,20 +75,21 @@ class Climb(NamedTuple):
 def best_in_turn(
     best: tuple[int | None, ...],
     options: Sequence[int],
-    value: Callable[[tuple[int | None, ...]], float],
+    values: Callable[..., np.ndarray],  # of choices, one of them an array of all options
     sweeps: int,
 ) -> tuple[int | None, ...]:
     """Coordinate search from `best`: the option of largest value for each choice in turn.
 
     Examples
     --------
-    >>> best_in_turn((None, 0), range(5), lambda c: (c[0] or 0) * (4 - (c[0] or 0)) - c[1], 4)
+    >>> best_in_turn((2, 0), range(5), lambda c, d: c * (4 - c) - d, 4)
     (2, 0)
     """
     for _ in range(sweeps):
         before = best
         for j in range(len(best)):
-            best = max(((*best[:j], c, *best[j + 1 :]) for c in options), key=value)
+            each = values(*best[:j], np.array(options), *best[j + 1 :])
+            best = (*best[:j], options[int(each.argmax())], *best[j + 1 :])
         if best == before:
             break
     return best

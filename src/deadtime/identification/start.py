@@ -188,19 +188,16 @@ class _CellScan:
         m, count = self.layout.m, self.cells.size
         modes = range(self.layout.modes) if mode is None else [mode]
 
-        def likelihood(chosen: tuple[int | None, ...], plausible: bool = False) -> float:
+        def likelihood(*chosen: int | None, plausible: bool = False) -> float:
             return sum(self._likelihood(i, chosen, plausible) for i in modes)
 
+        each, cells = np.vectorize(likelihood, otypes=[float]), self.cells.tolist()
         if count**m <= _ALL:
-            table = {c: likelihood(c) for c in itertools.product(self.cells.tolist(), repeat=m)}
-            best = max(table, key=lambda c: table[c])
+            best = max(itertools.product(cells, repeat=m), key=lambda chosen: likelihood(*chosen))
         else:
-            best = best_in_turn((None,) * m, self.cells.tolist(), likelihood, _SWEEPS)
-        curves = [
-            [likelihood((*best[:j], c, *best[j + 1 :]), True) for c in self.cells.tolist()]
-            for j in range(m)
-        ]
-        return np.array(best), np.array(curves)
+            best = best_in_turn((None,) * m, cells, each, _SWEEPS)
+        beside = [(*best[:j], self.cells, *best[j + 1 :]) for j in range(m)]
+        return np.array(best), np.array([each(*one, plausible=True) for one in beside])
 
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from deadtime.identification.parameters import Nodes, Square, Squares
-from deadtime.numerics.covariance import noise_covariances
+from deadtime.numerics.covariance import accumulate, noise_covariances, rates
 from deadtime.numerics.exponential import discretise_all
 
 
@@ -43,8 +43,7 @@ def transitions_of(
     """
     from scipy.linalg import expm
 
-    n = len(A)
-    size = 2 * n
+    n, size = len(A), 2 * len(A)
     if not slopes:
         Phi, W = (one[0] for one in plain_transitions(A[None], times))
         return TransitionMaps(Phi, W, *np.empty((2, times.size, 0, n, n)))
@@ -122,24 +121,22 @@ def noise_tables(
     n, count = len(A), times.size
     if not slopes:
         return noise_covariances(A[None], L @ L.T, times), np.empty((count, 0, n, n))
-    joint, noise = np.zeros((n * n, 2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    a, b = np.divmod(np.arange(n * n), n)
-    # Noise enters the second half only, so the off-diagonal corner is its effect through E_ab.
+    # The noise of [[A, E_ab], [0, A]] is in the second half, so the corner of its covariance is the
+    # effect through E_ab; that of diag(A, A) with δL Lᵀ in the corner is the effect of δL.
+    (a, b), (row, column), of_A = np.indices((n, n)).reshape(2, -1), np.tril_indices(n), n * n
+    joint, noise = np.zeros((2, of_A + row.size, 2 * n, 2 * n))
     joint[:, :n, :n] = joint[:, n:, n:] = A
-    joint[np.arange(n * n), a, n + b] = 1.0
-    noise[n:, n:] = L @ L.T
-    Q = noise_covariances(joint, noise, np.tile(times, n * n))
-    Q = Q.reshape(n * n, count, 2 * n, 2 * n).swapaxes(0, 1)
-    of_A = Q[..., :n, n:] + Q[..., n:, :n]
-    row, column = np.tril_indices(n)
-    change = np.zeros((row.size, n, n))
-    change[np.arange(row.size), row] = (
-        np.where(row == column, np.diagonal(L)[row], 1.0)[:, None] * L[:, column].T
-    )
-    change += change.swapaxes(1, 2)
-    of_L = noise_covariances(np.tile(A, (row.size, 1, 1)), change, np.tile(times, row.size))
-    of_L = of_L.reshape(row.size, count, n, n).swapaxes(0, 1)
-    return Q[:, 0, n:, n:].copy(), np.concatenate((of_A, of_L), axis=1)
+    joint[np.arange(of_A), a, n + b] = 1.0
+    noise[:, n:, n:] = L @ L.T
+    unit = np.where(row == column, np.diagonal(L)[row], 1.0)
+    noise[of_A + np.arange(row.size), row, n:] = unit[:, None] * L[:, column].T
+    noise[of_A:, n:, :n] = noise[of_A:, :n, n:].swapaxes(1, 2)
+    many, rate = len(joint), rates(A[None]).repeat(len(joint))
+    mode = np.indices((many, count))[0].reshape(-1, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        Q = accumulate(joint, noise, rate, mode, np.tile(times, many)[:, None])[1]
+    Q = Q.reshape(-1, count, 2 * n, 2 * n).swapaxes(0, 1)
+    return Q[:, 0, n:, n:].copy(), Q[..., :n, n:] + Q[..., n:, :n]
 
 
 def continuous(A: Squares, S: Squares, step: float) -> Squares:

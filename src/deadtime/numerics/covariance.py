@@ -14,6 +14,7 @@ equal results.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -113,10 +114,8 @@ def _follow_by_numpy(Phi, S, size, mode, tau, noisy, M, Q):
 
 
 def _horner(terms: np.ndarray, mode: np.ndarray, s: np.ndarray) -> np.ndarray:
-    value = terms[mode, -1].transpose(1, 2, 0)
-    for k in range(terms.shape[1] - 2, -1, -1):
-        value = value * s + terms[mode, k].transpose(1, 2, 0)
-    return value
+    highest, *lower = terms[mode].transpose(1, 2, 3, 0)[::-1]
+    return functools.reduce(lambda value, term: value * s + term, lower, highest)
 
 
 def _congruence_all(P: np.ndarray, R: np.ndarray) -> np.ndarray:

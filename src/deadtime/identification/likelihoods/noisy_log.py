@@ -222,7 +222,7 @@ class SensorLikelihood(Likelihood):
         shape = self.embedding
         return np.arange(self.layout.n) if shape is None or shape.zeros else shape.last
 
-    @property
+    @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the triangle of L."""
         return np.tril_indices(self.layout.n)
