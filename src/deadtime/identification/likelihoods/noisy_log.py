@@ -58,7 +58,6 @@ from deadtime.identification.parameters import (
     Vector,
     Window,
 )
-from deadtime.identification.sampling import fed
 from deadtime.identification.scoring import Evaluate, Evaluation
 
 
@@ -201,7 +200,7 @@ class SensorLikelihood(Likelihood):
         starts = []
         for part in self.recording.parts:
             start = np.ones(part.time.size, bool)
-            start[1:] = ~fed(part, high, low)
+            start[1:] = ~self.sampling.fed(part, high, low)
             if self.within:
                 start[1:] |= part.mode[1:] != part.mode[:-1]
             starts.append(start)
