@@ -1,0 +1,207 @@
+r"""Inputs between samples: held or linear, tested against each other by a model of both.
+
+An analog input that is sampled and taken as held gives a delay that is half a period too short,
+because a held input is on average that much late. Neither model is a case of the other. Both are
+of the input (1 − α) held + α linear. Let e₀ and e₁ be the residuals at the maxima with held and
+with linear inputs, white and in standard deviations. To first order in the difference d = e₀ − e₁,
+
+    e(α) = e₀ − α d,    α̂ = e₀ᵀd / dᵀd,    2 (log L(α̂) − log L(α)) = N log(|e(α)|² / |e(α̂)|²),
+
+a regression (the J test of Davidson and MacKinnon, Econometrica 49(3), 1981) whose standard error
+1/|d| is the inverse of the distance of both models in standard deviations.
+
+A held input is an impulse at every sample, smeared by a box of length h; a linear one by a
+triangle, the box twice; a smooth one, of frequencies far below 1/h, not at all. Of their mean the
+delay is a part, so the log shows their variances alone, h²/12, h²/6 and 0: to second order in the
+period α = 0 is a held input, α = 1 a linear one, and α = −1 a smooth one, for which the linear
+model has the right delay, too. So held inputs are supported where both ±1 are rejected by their
+likelihood ratios, and 0 is not; they are rejected on the side of either. α̂ significantly above 1
+rejects all, as where an actuator smooths the input more than a linear one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.identification.estimate import EDGE, Estimate, IdentifiedLog
+from deadtime.identification.identifiability import fed_back
+from deadtime.identification.likelihoods.likelihood import maximise, window_of
+from deadtime.identification.log.recording import Recording
+from deadtime.identification.parameters import Window
+
+HOLDS = "held", "linear"  # by the degree of the input between samples
+_MOST = 30  # rows of the past of an input
+_SURE = 3.0  # standard deviations at which a model is rejected
+_STAYS = 0.5  # share of rows in which an input of steps repeats itself
+_ROUND_OFF = 1e-12  # of the largest variance of residuals, which counts as none
+_ENOUGH = 10_000  # samples that suffice for the test
+_GAIN = 1e-2  # rise of log likelihood that ends the climbs of the test
+
+
+class HoldTest(NamedTuple):
+    """The share α of a linear input in the likeliest mixture, and how far it rejects the models.
+
+    held, linear, smooth : signed roots of likelihood ratios, in standard deviations, of α̂ against
+        0, 1 and −1
+    later : by how much delays are longer with linear inputs, seconds
+    """
+
+    share: float
+    held: float
+    linear: float
+    smooth: float
+    later: Float[np.ndarray, " delay"]
+
+
+def degree_of(hold: object) -> int | None:
+    """The degree of inputs between samples; None to take them as held and to test it."""
+    if hold is None:
+        return None
+    if hold not in HOLDS:
+        raise ArgumentError(
+            'hold must be "held", "linear", or None to take inputs as held and to test it, got '
+            f"{hold!r}."
+        )
+    return HOLDS.index(str(hold))
+
+
+def require_causal(recording: Recording, bounds: Window, noise: bool | None) -> None:
+    """Refuse linear inputs with feedback where delays shorter than a period are searched.
+
+    Then a row's input acts before the row: whether the measurement shows the input, or the input
+    follows the measurement, cannot be told.
+    """
+    h = recording.step
+    if not recording.hold or bounds[0] >= h * (1.0 - EDGE) or noise is False:
+        return
+    for name in np.array(recording.inputs)[_follows(recording, bounds[1])][:1]:
+        raise ArgumentError(
+            f'hold="linear", --hold linear, needs delays of at least a row, {h:.4g} s, because '
+            f"{name} is related to the measurement of its own row: with a shorter delay a linear "
+            "input acts before its row, and the log does not tell that from feedback. Narrow "
+            f'delay=(low, high), --delay LOW HIGH, to {h:.4g} s and more; say hold="held" if a '
+            "digital law sends the input; or noise=False, --no-noise, if it follows no measurement."
+        )
+
+
+def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
+    """The identified log with what it says of its inputs between samples.
+
+    degree : as requested; None to test held inputs against linear ones
+    """
+    if degree:
+        said = "Inputs are taken to change linearly between samples."
+        return log._replace(sentences=(*log.sentences, said))
+    estimate = log.estimate
+    if degree == 0 or estimate.missed.any() or not _testable(log.recording, estimate.searched[1]):
+        return log
+    test = hold_test(estimate, log.recording)
+    return log if test is None else _told(log, test)
+
+
+def _follows(recording: Recording, longest: float) -> Bool[np.ndarray, " m"]:
+    """Which inputs are feedback, given all of their past that delays up to `longest` may show."""
+    return fed_back(recording, min(recording.lag(longest), _MOST) + 1)
+
+
+def _testable(recording: Recording, longest: float) -> bool:
+    """Whether an input may be linear: no feedback, whose laws hold it, and not all are of steps."""
+    changes = np.vstack([np.diff(part.input, axis=0) != 0.0 for part in recording.parts])
+    stays = 1.0 - changes.mean(axis=0)
+    return bool((stays < _STAYS).any()) and not _follows(recording, longest).any()
+
+
+def hold_test(estimate: Estimate, recording: Recording) -> HoldTest | None:
+    """Held against linear inputs, from one climb each; None if the climbs lead nowhere."""
+    held = estimate.log.along(recording)
+    held = replace(held, recording=recording.stretches(_ENOUGH, recording.lag(held.bounds[1])))
+    linear = replace(held, recording=held.recording._replace(hold=1))
+    theta, place = estimate.best.theta.copy(), held.layout.at_delays
+    low, high = window_of(held, theta[place])
+    window = low, min(held.bounds[1], high + recording.step)
+    own = maximise(held, theta, window=window, gain=_GAIN)[0]
+    theta[place] = np.minimum(own.theta[place] + 0.5 * recording.step, held.bounds[1])
+    other = maximise(linear, theta, window=window, gain=_GAIN)[0]
+    if not np.isfinite((own.value, other.value)).all():
+        return None
+    each = held.residuals(own.theta, window), linear.residuals(other.theta, window)
+    modes = np.concatenate([np.append(0, part.mode[:-1]) for part in held.recording.parts])
+    e = _whitened(each, modes, int(other.value > own.value))
+    d, least = e[0] - e[1], np.finfo(float).tiny
+    share = float(e[0] @ d) / max(float(d @ d), least)
+    least = max(float(((e[0] - share * d) ** 2).sum()), least)
+    off = share - np.array([0.0, 1.0, -1.0])
+    roots = np.sign(off) * np.sqrt(d.size * np.log1p(float(d @ d) * off**2 / least))
+    return HoldTest(share, *roots.tolist(), other.theta[place] - own.theta[place])
+
+
+def _whitened(
+    each: tuple[tuple[np.ndarray, np.ndarray], ...], modes: np.ndarray, better: int
+) -> Float[np.ndarray, "2 error"]:
+    """Residuals of both models in standard deviations of the better one's, where both are known."""
+    both = np.array([e for e, _ in each]) / np.sqrt(each[better][1])
+    known, white = np.isfinite(both).all(axis=(0, 2)), []
+    for i in np.unique(modes[known]):
+        e = both[:, known & (modes == i)]
+        values, vectors = np.linalg.eigh(e[better].T @ e[better] / e.shape[1])
+        floor = _ROUND_OFF * values.max() + np.finfo(float).tiny
+        white.append((e @ vectors / np.sqrt(np.maximum(values, floor))).reshape(2, -1))
+    return np.hstack(white)
+
+
+def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
+    """The identified log with the sentences, doubts and intervals that follow from a test."""
+    estimate, h = log.estimate, log.recording.step
+    low, high = estimate.searched
+    at_zero = bool((estimate.delays <= EDGE * (high - low)).any()) and low == 0.0
+    if abs(test.held) < _SURE:
+        if not test.linear < -_SURE < _SURE < test.smooth:
+            return _widened(log, test.later)
+        said = "The input is taken as held between samples: the log supports that."
+        return log._replace(sentences=(*log.sentences, said))
+    if at_zero:
+        said = (
+            "The input acts up to half a row earlier than logged: it changes linearly between "
+            'samples (repeat with hold="linear", --hold linear), or its stamps are late.'
+        )
+    elif test.held < 0.0 or abs(test.linear) < _SURE:
+        runs = "changes linearly" if test.held > 0.0 else "is smooth"
+        said = (
+            f"The log speaks for an input that {runs} between samples (a held one fits worse by "
+            f'{abs(test.held):.1f} standard deviations): repeat with hold="linear", --hold linear; '
+            f"with a held input the delay is about half a period, {0.5 * h:.3g} s, too short."
+        )
+    else:
+        smoother = "smeared more than both" if test.linear > 0.0 else "between the two"
+        said = (
+            "The log supports neither an input that is held between samples nor one that changes "
+            f"linearly; it is {smoother}, as after an actuator with a lag, a filter, or with "
+            f"stamps that are off. The delay may be off by half a period, {0.5 * h:.3g} s."
+        )
+    doubt = "the input does not seem to be held between samples"
+    return log._replace(sentences=(*log.sentences, said), doubts=(*log.doubts, doubt))
+
+
+def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> IdentifiedLog:
+    """The identified log with intervals that hold the delays of linear inputs, too."""
+    estimate = log.estimate
+    low, high = estimate.intervals.T
+    ends = np.column_stack((np.minimum(low, low + later), np.maximum(high, high + later)))
+    estimate = replace(estimate, intervals=np.clip(ends, *estimate.log.bounds))
+    said = (
+        "The log does not tell whether the input is held between samples or changes linearly: the "
+        f"interval covers both; a linear one has a delay {_ends(later)} s longer. Say which by "
+        'hold="held" or hold="linear", --hold.'
+    )
+    return log._replace(estimate=estimate, sentences=(*log.sentences, said))
+
+
+def _ends(values: Sequence[float] | np.ndarray) -> str:
+    texts = sorted({f"{value:.3g}" for value in values}, key=float)
+    return texts[0] if len(texts) == 1 else f"{texts[0]} … {texts[-1]}"
