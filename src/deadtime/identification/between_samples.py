@@ -14,9 +14,10 @@ A held input is an impulse at every sample, smeared by a box of length h; a line
 triangle, the box twice; a smooth one, of frequencies far below 1/h, not at all. Of their mean the
 delay is a part, so the log shows their variances alone, h²/12, h²/6 and 0: to second order in the
 period α = 0 is a held input, α = 1 a linear one, and α = −1 a smooth one, for which the linear
-model has the right delay, too. So held inputs are supported where both ±1 are rejected by their
-likelihood ratios, and 0 is not; they are rejected on the side of either. α̂ significantly above 1
-rejects all, as where an actuator smooths the input more than a linear one.
+model has the right delay, too. An α is plausible if its likelihood ratio does not reject it, or if
+it is so near α̂ that the delay hardly depends on it. So held inputs are supported where 0 is
+plausible and ±1 are not. Where none is, something else acts, as an actuator that smooths the input
+more than a linear one.
 """
 
 from __future__ import annotations
@@ -37,26 +38,30 @@ from deadtime.identification.parameters import Window
 
 HOLDS = "held", "linear"  # by the degree of the input between samples
 _MOST = 30  # rows of the past of an input
+_SHARES = np.array([0.0, 1.0, -1.0])  # α of held, linear, and smooth inputs
+_NEAR = 0.25  # of α: the delay then is off by less than an eighth of a period
 _SURE = 3.0  # standard deviations at which a model is rejected
 _STAYS = 0.5  # share of rows in which an input of steps repeats itself
 _ROUND_OFF = 1e-12  # of the largest variance of residuals, which counts as none
 _ENOUGH = 10_000  # samples that suffice for the test
-_GAIN = 1e-2  # rise of log likelihood that ends the climbs of the test
+_GAIN = 0.05  # rise of log likelihood that ends the climbs of the test
 
 
 class HoldTest(NamedTuple):
     """The share α of a linear input in the likeliest mixture, and how far it rejects the models.
 
-    held, linear, smooth : signed roots of likelihood ratios, in standard deviations, of α̂ against
-        0, 1 and −1
+    off : of α̂ against 0, 1 and −1, roots of likelihood ratios, in standard deviations
     later : by how much delays are longer with linear inputs, seconds
     """
 
     share: float
-    held: float
-    linear: float
-    smooth: float
+    off: Float[np.ndarray, " model"]
     later: Float[np.ndarray, " delay"]
+
+    @property
+    def plausible(self) -> Bool[np.ndarray, " model"]:
+        """Whether inputs may be held, linear, or smooth."""
+        return (self.off < _SURE) | (np.abs(self.share - _SHARES) < _NEAR)
 
 
 def degree_of(hold: object) -> int | None:
@@ -107,7 +112,8 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
 
 def _follows(recording: Recording, longest: float) -> Bool[np.ndarray, " m"]:
     """Which inputs are feedback, given all of their past that delays up to `longest` may show."""
-    return fed_back(recording, min(recording.lag(longest), _MOST) + 1)
+    short = fed_back(recording)
+    return short & fed_back(recording, min(recording.lag(longest), _MOST)) if short.any() else short
 
 
 def _testable(recording: Recording, longest: float) -> bool:
@@ -136,9 +142,8 @@ def hold_test(estimate: Estimate, recording: Recording) -> HoldTest | None:
     d, least = e[0] - e[1], np.finfo(float).tiny
     share = float(e[0] @ d) / max(float(d @ d), least)
     least = max(float(((e[0] - share * d) ** 2).sum()), least)
-    off = share - np.array([0.0, 1.0, -1.0])
-    roots = np.sign(off) * np.sqrt(d.size * np.log1p(float(d @ d) * off**2 / least))
-    return HoldTest(share, *roots.tolist(), other.theta[place] - own.theta[place])
+    off = np.sqrt(d.size * np.log1p(float(d @ d) * (share - _SHARES) ** 2 / least))
+    return HoldTest(share, off, other.theta[place] - own.theta[place])
 
 
 def _whitened(
@@ -160,8 +165,9 @@ def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
     estimate, h = log.estimate, log.recording.step
     low, high = estimate.searched
     at_zero = bool((estimate.delays <= EDGE * (high - low)).any()) and low == 0.0
-    if abs(test.held) < _SURE:
-        if not test.linear < -_SURE < _SURE < test.smooth:
+    held, linear, smooth = test.plausible
+    if held:
+        if linear or smooth:
             return _widened(log, test.later)
         said = "The input is taken as held between samples: the log supports that."
         return log._replace(sentences=(*log.sentences, said))
@@ -170,19 +176,18 @@ def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
             "The input acts up to half a row earlier than logged: it changes linearly between "
             'samples (repeat with hold="linear", --hold linear), or its stamps are late.'
         )
-    elif test.held < 0.0 or abs(test.linear) < _SURE:
-        runs = "changes linearly" if test.held > 0.0 else "is smooth"
+    elif linear or smooth:
+        runs = "changes linearly" if linear else "is smooth"
         said = (
             f"The log speaks for an input that {runs} between samples (a held one fits worse by "
-            f'{abs(test.held):.1f} standard deviations): repeat with hold="linear", --hold linear; '
+            f'{test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold linear; '
             f"with a held input the delay is about half a period, {0.5 * h:.3g} s, too short."
         )
     else:
-        smoother = "smeared more than both" if test.linear > 0.0 else "between the two"
         said = (
             "The log supports neither an input that is held between samples nor one that changes "
-            f"linearly; it is {smoother}, as after an actuator with a lag, a filter, or with "
-            f"stamps that are off. The delay may be off by half a period, {0.5 * h:.3g} s."
+            "linearly: an actuator with a lag, a filter or a second path may act, or stamps may be "
+            f"off. The delay may be off by half a period, {0.5 * h:.3g} s."
         )
     doubt = "the input does not seem to be held between samples"
     return log._replace(sentences=(*log.sentences, said), doubts=(*log.doubts, doubt))

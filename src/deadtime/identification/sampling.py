@@ -606,22 +606,19 @@ def period_weights(
     P = np.zeros((n, width + acting - m))
     by_P = np.zeros(((n * n + n * acting + m) * slopes, *P.shape))
     P[:, :n], by_P[: n * n, :, :n] = over.Phi[-1], over.Phi_by_A[-1]
+    every = np.concatenate((over.integrals[:, :, None], over.by_A), axis=2)
     for j in range(m):
         b, at = B[:, j], slice(n + j, width, m)
-        # Weights of the derivatives at the beginning of a period and of what arrives, in every lag
-        first, arriving = _arriving(float(rest[j]), step, hold)
-        G = np.tensordot(first, over.integrals[1:, -1], (0, 0))
-        G += arriving[:, None, None] * over.integrals[-1, j]
-        P[:, at] = (G @ b).T
+        weights = _arriving(float(rest[j]), step, hold).T
+        through = np.concatenate((every[1:, -1], every[-1:, j]))
+        G = (weights @ through.reshape(hold + 2, -1)).reshape(lags, -1, n, n)
+        P[:, at] = (G[:, 0] @ b).T
         if not slopes:
             continue
-        by_A = np.tensordot(first, over.by_A[1:, -1], (0, 0))
-        by_A += arriving[:, None, None, None] * over.by_A[-1, j]
-        by_P[: n * n, :, at] = np.moveaxis(by_A @ b, 0, -1)
-        by_P[n * n + np.arange(n) * acting + j, :, at] = G.transpose(2, 1, 0)
-        moved = np.tensordot(first[1:], over.integrals[1:-1, -1], (0, 0))
-        moved = moved + arriving[:, None, None] * over.integrals[hold, j]
-        by_P[n * n + n * acting + j, :, at] = -(moved @ b).T
+        by_P[: n * n, :, at] = np.moveaxis(G[:, 1:] @ b, 0, -1)
+        by_P[n * n + np.arange(n) * acting + j, :, at] = G[:, 0].T
+        through = np.concatenate((every[1:-1, -1, 0], every[-2:-1, j, 0])) @ b
+        by_P[n * n + n * acting + j, :, at] = -(weights[:, 1:] @ through).T
     if acting > m:  # the constant term
         P[:, -1], by_P[: n * n, :, -1] = over.W[-1] @ B[:, m], over.W_by_A[-1] @ B[:, m]
         if slopes:
@@ -645,17 +642,14 @@ def differences_of(hold: int) -> Float[np.ndarray, "difference lag"]:
     return read_only(np.asarray(invpascal(hold + 2, kind="lower", exact=False)))
 
 
-def _arriving(
-    rest: float, step: float, hold: int
-) -> tuple[Float[np.ndarray, "derivative lag"], Float[np.ndarray, " lag"]]:
-    """An input's derivatives at the beginning of a period, and their change that arrives in it.
+def _arriving(rest: float, step: float, hold: int) -> Float[np.ndarray, "derivative lag"]:
+    """An input's derivatives at the beginning of a period, and its change that arrives in it.
 
     As weights of the samples that act, the oldest first; rest : from the arrival to the end.
     """
-    differences = differences_of(hold)
-    i, place = np.ogrid[: hold + 1, : hold + 1]
-    taylor = np.triu((rest / step) ** np.maximum(place - i, 0)) / step**i
-    return taylor @ differences[:-1], differences[-1] / step**hold
+    taylor, order = np.eye(hold + 2), np.minimum(np.arange(hold + 2), hold)
+    taylor[np.arange(hold), np.arange(hold) + 1] = rest / step
+    return taylor @ differences_of(hold) / step ** order[:, None]
 
 
 def node_weights(
