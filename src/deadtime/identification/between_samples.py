@@ -35,13 +35,15 @@ from deadtime.identification.identifiability import fed_back
 from deadtime.identification.likelihoods.likelihood import maximise, window_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import Window
+from deadtime.identification.residuals import judge_residuals
 
 HOLDS = "held", "linear"  # by the degree of the input between samples
 _MOST = 30  # rows of the past of an input
 _SHARES = np.array([0.0, 1.0, -1.0])  # α of held, linear, and smooth inputs
+_LITTLE = 0.1  # of an interval: a smaller shift hardly matters
 _NEAR = 0.25  # of α: the delay then is off by less than an eighth of a period
 _SURE = 3.0  # standard deviations at which a model is rejected
-_STAYS = 0.5  # share of rows in which an input of steps repeats itself
+_CHANGES = 0.5  # share of rows in which an input of steps changes, at most
 _ROUND_OFF = 1e-12  # of the largest variance of residuals, which counts as none
 _ENOUGH = 10_000  # samples that suffice for the test
 _GAIN = 0.05  # rise of log likelihood that ends the climbs of the test
@@ -52,11 +54,13 @@ class HoldTest(NamedTuple):
 
     off : of α̂ against 0, 1 and −1, roots of likelihood ratios, in standard deviations
     later : by how much delays are longer with linear inputs, seconds
+    fits : whether residuals with linear inputs look like chance
     """
 
     share: float
     off: Float[np.ndarray, " model"]
     later: Float[np.ndarray, " delay"]
+    fits: bool
 
     @property
     def plausible(self) -> Bool[np.ndarray, " model"]:
@@ -102,11 +106,20 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
     """
     if degree:
         said = "Inputs are taken to change linearly between samples."
+        if (log.estimate.delays < log.recording.step * (1.0 - EDGE)).any():
+            said = (
+                f"{said} With a delay below a row they act before their row, so they are taken not "
+                "to follow its measurement."
+            )
         return log._replace(sentences=(*log.sentences, said))
-    estimate = log.estimate
-    if degree == 0 or estimate.missed.any() or not _testable(log.recording, estimate.searched[1]):
+    estimate, recording = log.estimate, log.recording
+    changes = np.vstack([np.diff(part.input, axis=0) != 0.0 for part in recording.parts])
+    if degree == 0 or estimate.missed.any() or (changes.mean(axis=0) <= _CHANGES).all():
         return log
-    test = hold_test(estimate, log.recording)
+    follows = _follows(recording, estimate.searched[1])
+    if follows.any():
+        return _at_zero_in_loop(log, np.array(recording.inputs)[follows][0])
+    test = hold_test(estimate, recording)
     return log if test is None else _told(log, test)
 
 
@@ -114,13 +127,6 @@ def _follows(recording: Recording, longest: float) -> Bool[np.ndarray, " m"]:
     """Which inputs are feedback, given all of their past that delays up to `longest` may show."""
     short = fed_back(recording)
     return short & fed_back(recording, min(recording.lag(longest), _MOST)) if short.any() else short
-
-
-def _testable(recording: Recording, longest: float) -> bool:
-    """Whether an input may be linear: no feedback, whose laws hold it, and not all are of steps."""
-    changes = np.vstack([np.diff(part.input, axis=0) != 0.0 for part in recording.parts])
-    stays = 1.0 - changes.mean(axis=0)
-    return bool((stays < _STAYS).any()) and not _follows(recording, longest).any()
 
 
 def hold_test(estimate: Estimate, recording: Recording) -> HoldTest | None:
@@ -137,51 +143,75 @@ def hold_test(estimate: Estimate, recording: Recording) -> HoldTest | None:
     if not np.isfinite((own.value, other.value)).all():
         return None
     each = held.residuals(own.theta, window), linear.residuals(other.theta, window)
-    modes = np.concatenate([np.append(0, part.mode[:-1]) for part in held.recording.parts])
-    e = _whitened(each, modes, int(other.value > own.value))
+    parts = held.recording.parts
+    modes = np.concatenate([np.append(0, part.mode[:-1]) for part in parts])
+    white = _whitened(each, modes, int(other.value > own.value))
+    e = white[:, np.isfinite(white).all(axis=(0, 2))].reshape(2, -1)
     d, least = e[0] - e[1], np.finfo(float).tiny
     share = float(e[0] @ d) / max(float(d @ d), least)
     least = max(float(((e[0] - share * d) ** 2).sum()), least)
     off = np.sqrt(d.size * np.log1p(float(d @ d) * (share - _SHARES) ** 2 / least))
-    return HoldTest(share, off, other.theta[place] - own.theta[place])
+    later = np.clip(other.theta[place] - own.theta[place], 0.0, recording.step)
+    by_part = np.split(white[1], np.cumsum([part.time.size for part in parts])[:-1])
+    tests = judge_residuals(by_part, held.recording, float(other.theta[place].max()))
+    return HoldTest(share, off, later, tests.white and tests.unrelated)
 
 
 def _whitened(
     each: tuple[tuple[np.ndarray, np.ndarray], ...], modes: np.ndarray, better: int
-) -> Float[np.ndarray, "2 error"]:
+) -> Float[np.ndarray, "2 sample p"]:
     """Residuals of both models in standard deviations of the better one's, where both are known."""
     both = np.array([e for e, _ in each]) / np.sqrt(each[better][1])
-    known, white = np.isfinite(both).all(axis=(0, 2)), []
+    known, white = np.isfinite(both).all(axis=(0, 2)), np.full(both.shape, np.nan)
     for i in np.unique(modes[known]):
-        e = both[:, known & (modes == i)]
+        own = known & (modes == i)
+        e = both[:, own]
         values, vectors = np.linalg.eigh(e[better].T @ e[better] / e.shape[1])
         floor = _ROUND_OFF * values.max() + np.finfo(float).tiny
-        white.append((e @ vectors / np.sqrt(np.maximum(values, floor))).reshape(2, -1))
-    return np.hstack(white)
+        white[:, own] = e @ vectors / np.sqrt(np.maximum(values, floor))
+    return white
+
+
+def _zero(estimate: Estimate) -> bool:
+    """Whether a delay fits best at 0, the edge of the range."""
+    low, high = estimate.searched
+    return low == 0.0 and bool((estimate.delays <= EDGE * (high - low)).any())
+
+
+def _at_zero_in_loop(log: IdentifiedLog, name: str) -> IdentifiedLog:
+    """The identified log with what a delay of 0 may mean where an input seems to be feedback."""
+    if not _zero(log.estimate):
+        return log
+    said = (
+        f"{name} is related to the measurement of its own row: either it follows that measurement, "
+        "or the input acts up to half a row earlier than logged, because it changes linearly "
+        'between samples (hold="linear" with noise=False, --hold linear --no-noise), or because '
+        "its stamps are late."
+    )
+    return log._replace(sentences=(*log.sentences, said))
 
 
 def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
     """The identified log with the sentences, doubts and intervals that follow from a test."""
     estimate, h = log.estimate, log.recording.step
-    low, high = estimate.searched
-    at_zero = bool((estimate.delays <= EDGE * (high - low)).any()) and low == 0.0
     held, linear, smooth = test.plausible
     if held:
         if linear or smooth:
             return _widened(log, test.later)
         said = "The input is taken as held between samples: the log supports that."
         return log._replace(sentences=(*log.sentences, said))
-    if at_zero:
+    if _zero(estimate):
         said = (
             "The input acts up to half a row earlier than logged: it changes linearly between "
             'samples (repeat with hold="linear", --hold linear), or its stamps are late.'
         )
-    elif linear or smooth:
+    elif (linear or smooth) and test.fits:
         runs = "changes linearly" if linear else "is smooth"
         said = (
             f"The log speaks for an input that {runs} between samples (a held one fits worse by "
             f'{test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold linear; '
-            f"with a held input the delay is about half a period, {0.5 * h:.3g} s, too short."
+            f"with a held input the delay is about half a period, {0.5 * h:.3g} s, too short. (A "
+            f"lag of the actuator of about {h / np.sqrt(12.0):.2g} s looks alike.)"
         )
     else:
         said = (
@@ -197,6 +227,8 @@ def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> Identifi
     """The identified log with intervals that hold the delays of linear inputs, too."""
     estimate = log.estimate
     low, high = estimate.intervals.T
+    if (later < _LITTLE * (high - low)).all():
+        return log
     ends = np.column_stack((np.minimum(low, low + later), np.maximum(high, high + later)))
     estimate = replace(estimate, intervals=np.clip(ends, *estimate.log.bounds))
     said = (
