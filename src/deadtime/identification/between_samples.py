@@ -10,14 +10,13 @@ with linear inputs, white and in standard deviations. To first order in the diff
 a regression (the J test of Davidson and MacKinnon, Econometrica 49(3), 1981) whose standard error
 1/|d| is the inverse of the distance of both models in standard deviations.
 
-A held input is an impulse at every sample, smeared by a box of length h; a linear one by a
-triangle, the box twice; a smooth one, of frequencies far below 1/h, not at all. Of their mean the
-delay is a part, so the log shows their variances alone, h²/12, h²/6 and 0: to second order in the
-period α = 0 is a held input, α = 1 a linear one, and α = −1 a smooth one, for which the linear
-model has the right delay, too. An α is plausible if its likelihood ratio does not reject it, or if
-it is so near α̂ that the delay hardly depends on it. So held inputs are supported where 0 is
-plausible and ±1 are not. Where none is, something else acts, as an actuator that smooths the input
+An α is plausible if its likelihood ratio does not reject it, or if it is so near α̂ that the delay
+hardly depends on it. Where neither is, something else acts, as an actuator that smooths the input
 more than a linear one.
+
+A smooth input, of frequencies well below 1/h, follows neither model, but has the delay of the
+linear one. Its α̂ is often near 0, as the smearing by both models is compensated by B and D. So held
+inputs are said to be supported only if their samples are not those of a smooth input.
 """
 
 from __future__ import annotations
@@ -38,8 +37,10 @@ from deadtime.identification.parameters import Window
 from deadtime.identification.residuals import judge_residuals
 
 HOLDS = "held", "linear"  # by the degree of the input between samples
+_FEWEST = 8  # rows of a part that count
 _MOST = 30  # rows of the past of an input
-_SHARES = np.array([0.0, 1.0, -1.0])  # α of held, linear, and smooth inputs
+_SHARES = np.array([0.0, 1.0])  # α of held and of linear inputs
+_SMOOTH = 0.5  # of an input's variance: error of a spline through every other sample
 _LITTLE = 0.1  # of an interval: a smaller shift hardly matters
 _NEAR = 0.25  # of α: the delay then is off by less than an eighth of a period
 _SURE = 3.0  # standard deviations at which a model is rejected
@@ -52,19 +53,21 @@ _GAIN = 0.05  # rise of log likelihood that ends the climbs of the test
 class HoldTest(NamedTuple):
     """The share α of a linear input in the likeliest mixture, and how far it rejects the models.
 
-    off : of α̂ against 0, 1 and −1, roots of likelihood ratios, in standard deviations
+    off : of α̂ against 0 and 1, roots of likelihood ratios, in standard deviations
     later : by how much delays are longer with linear inputs, seconds
     fits : whether residuals with linear inputs look like chance
+    early : whether linear inputs act before their rows
     """
 
     share: float
     off: Float[np.ndarray, " model"]
     later: Float[np.ndarray, " delay"]
     fits: bool
+    early: bool
 
     @property
     def plausible(self) -> Bool[np.ndarray, " model"]:
-        """Whether inputs may be held, linear, or smooth."""
+        """Whether inputs may be held, and whether linear."""
         return (self.off < _SURE) | (np.abs(self.share - _SHARES) < _NEAR)
 
 
@@ -116,11 +119,12 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
     changes = np.vstack([np.diff(part.input, axis=0) != 0.0 for part in recording.parts])
     if degree == 0 or estimate.missed.any() or (changes.mean(axis=0) <= _CHANGES).all():
         return log
-    follows = _follows(recording, estimate.searched[1])
-    if follows.any():
-        return _at_zero_in_loop(log, np.array(recording.inputs)[follows][0])
     test = hold_test(estimate, recording)
-    return log if test is None else _told(log, test)
+    if test is None:
+        return log
+    if test.early and (follows := _follows(recording, estimate.searched[1])).any():
+        return _at_zero_in_loop(log, np.array(recording.inputs)[follows][0])
+    return _told(log, test)
 
 
 def _follows(recording: Recording, longest: float) -> Bool[np.ndarray, " m"]:
@@ -154,7 +158,8 @@ def hold_test(estimate: Estimate, recording: Recording) -> HoldTest | None:
     later = np.clip(other.theta[place] - own.theta[place], 0.0, recording.step)
     by_part = np.split(white[1], np.cumsum([part.time.size for part in parts])[:-1])
     tests = judge_residuals(by_part, held.recording, float(other.theta[place].max()))
-    return HoldTest(share, off, later, tests.white and tests.unrelated)
+    early = bool((other.theta[place] < recording.step).any())
+    return HoldTest(share, off, later, tests.white and tests.unrelated, early)
 
 
 def _whitened(
@@ -170,6 +175,30 @@ def _whitened(
         floor = _ROUND_OFF * values.max() + np.finfo(float).tiny
         white[:, own] = e @ vectors / np.sqrt(np.maximum(values, floor))
     return white
+
+
+def _smooth(recording: Recording) -> bool:
+    """Whether splines through every other sample of an input predict the others.
+
+    Inputs that stay in most rows are left out.
+    """
+    from scipy.interpolate import CubicSpline
+
+    for j in range(len(recording.inputs)):
+        errors, every = [np.zeros(0)], [np.zeros(0)]
+        for part in recording.parts:
+            known = np.isfinite(part.input[:, j])
+            t, u = part.time[known], part.input[known, j]
+            if u.size < _FEWEST:
+                continue
+            inner = slice(1, u.size - u.size % 2 - 1, 2)
+            errors.append(u[inner] - CubicSpline(t[::2], u[::2])(t[inner]))
+            every.append(u)
+        u, e = np.concatenate(every), np.concatenate(errors)
+        changes = np.count_nonzero(np.diff(u)) > _CHANGES * u.size
+        if changes and e.size and np.mean(e**2) < _SMOOTH * np.var(u):
+            return True
+    return False
 
 
 def _zero(estimate: Estimate) -> bool:
@@ -194,9 +223,10 @@ def _at_zero_in_loop(log: IdentifiedLog, name: str) -> IdentifiedLog:
 def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
     """The identified log with the sentences, doubts and intervals that follow from a test."""
     estimate, h = log.estimate, log.recording.step
-    held, linear, smooth = test.plausible
+    held, linear = test.plausible
     if held:
-        if linear or smooth:
+        by_chance = estimate.tests.white and estimate.tests.unrelated
+        if linear or not by_chance or _smooth(log.recording):
             return _widened(log, test.later)
         said = "The input is taken as held between samples: the log supports that."
         return log._replace(sentences=(*log.sentences, said))
@@ -205,12 +235,11 @@ def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
             "The input acts up to half a row earlier than logged: it changes linearly between "
             'samples (repeat with hold="linear", --hold linear), or its stamps are late.'
         )
-    elif (linear or smooth) and test.fits:
-        runs = "changes linearly" if linear else "is smooth"
+    elif linear and test.fits:
         said = (
-            f"The log speaks for an input that {runs} between samples (a held one fits worse by "
-            f'{test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold linear; '
-            f"with a held input the delay is about half a period, {0.5 * h:.3g} s, too short. (A "
+            "The log speaks for an input that changes linearly between samples (a held one fits "
+            f'worse by {test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold '
+            f"linear; with a held input the delay is about half a period, {0.5 * h:.3g} s, too short. (A "
             f"lag of the actuator of about {h / np.sqrt(12.0):.2g} s looks alike.)"
         )
     else:

@@ -158,11 +158,11 @@ def _longest_stay(recording: Recording, mode: int) -> int:
 
 
 def fed_back(recording: Recording, past: int = _PAST) -> Bool[np.ndarray, " m"]:
-    """Which inputs are feedback of the measurements of their row and the `past` ones.
+    """Which inputs are feedback of the measurements of their row and the last ones.
 
     The residuals of an input predicted from its own past, by linear regression in each mode, are
-    compared with the residuals when measurements are used, too. If the past is shorter than a
-    delay, measurements may predict a smooth input because they show its older values.
+    compared with the residuals when measurements are used, too. If the `past` rows of the input are
+    fewer than in a delay, measurements may predict a smooth input because they show older values.
 
     Examples
     --------
@@ -194,7 +194,8 @@ def _rows(part: Part, mode: int, past: int) -> tuple[np.ndarray, np.ndarray]:
     """Measurements (rows, lags × p) and inputs (rows, lags, m) of rows that stay in a mode."""
     k = np.arange(past, part.time.size)
     lags = k[:, None] - np.arange(past + 1)
-    y, u = part.output[lags].reshape(k.size, lags.shape[1] * part.output.shape[1]), part.input[lags]
+    y, u = part.output[lags[:, : _PAST + 1]], part.input[lags]
+    y = y.reshape(k.size, (_PAST + 1) * part.output.shape[1])
     known = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
     own = known & (part.mode[lags] == mode).all(axis=1)
     return y[own], u[own]
