@@ -239,8 +239,8 @@ def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
         said = (
             "The log speaks for an input that changes linearly between samples (a held one fits "
             f'worse by {test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold '
-            f"linear; with a held input the delay is about half a period, {0.5 * h:.3g} s, too short. "
-            f"(A lag of the actuator of about {h / np.sqrt(12.0):.2g} s looks alike.)"
+            f"linear; with a held input the delay is about half a period, {0.5 * h:.3g} s, too "
+            f"short. (A lag of the actuator of about {h / np.sqrt(12.0):.2g} s looks alike.)"
         )
     else:
         said = (
