@@ -511,7 +511,8 @@ def acting_evenly(
     """
     rows = (k[:, None] - cells)[:, None] + np.arange(lags)[:, None]
     u = part.input[np.clip(rows, 0, len(part.input) - 1), np.arange(cells.shape[1])]
-    return np.hstack((u.reshape(k.size, -1), np.ones((k.size, int(constant)))))
+    u = u.reshape(k.size, lags * cells.shape[1])
+    return np.hstack((u, np.ones((k.size, int(constant)))))
 
 
 class ActingInputs(NamedTuple):
