@@ -56,6 +56,7 @@ def identify(
     order: list[int] | None = None,
     zeros: Annotated[bool | None, Parameter(negative="--no-zeros")] = None,
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
+    hold: Literal["held", "linear"] | None = None,
     beside: Path | None = None,
     law: str | None = None,
     out: options.File = None,
@@ -99,6 +100,8 @@ def identify(
     rest
         Whether inputs before the log equal those of its first row; by default if the log begins at
         rest and its residuals do not contradict that.
+    hold
+        Whether inputs are held between samples or change linearly; by default held, and tested.
     beside
         A problem file with a law, whose delay margin is compared with the delay's interval.
     law
@@ -137,6 +140,7 @@ def identify(
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
             rest=rest,
+            hold=hold,
             progress=stage,
         )
         sentences = [with_options(one) for one in fit.sentences]

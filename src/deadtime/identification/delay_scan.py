@@ -5,8 +5,9 @@ noise. So all delays are scanned near the start of each climb, and again near th
 far, until a scan leads no higher.
 
 With A, W and V fixed, innovations of the filter are linear in the contributions of inputs and
-constant terms. A delay of N periods selects the column of u_{k−N}; a delay between N − 1 and N
-nearly a mean of two columns. So the fit for each delay is a regression for B alone over the whole
+constant terms. A delay of N periods selects the column of u_{k−N} if inputs are held; a delay
+between N − 1 and N nearly a mean of two columns, of three if inputs are linear between samples. So
+the fit for each delay is a regression for B alone over the whole
 log. Constant terms do not depend on the delays and are eliminated first.
 """
 
@@ -24,7 +25,7 @@ from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.likelihoods.switched_filter import FilterPeriods, Places
 from deadtime.identification.log.recording import Part
 from deadtime.identification.parameters import Layout, Vector, Window
-from deadtime.identification.sampling import inputs_at
+from deadtime.identification.sampling import inputs_at, period_weights
 from deadtime.identification.scoring import Maximum, best_in_turn
 from deadtime.identification.start import cell_range
 from deadtime.identification.transition import transitions_of
@@ -59,7 +60,7 @@ def scan_delays(log: NoisyLog, vector: Vector) -> DelayScan:
     """A scan of all delays of an even log, with A and noise of `vector`."""
     layout, h, rows = log.layout, log.recording.step, log.acting
     first, last = cell_range(h, log.bounds, layout.m)
-    lags = np.arange(first - 1, last + 1)
+    lags = np.arange(first - 1 - log.sampling.hold, last + 1)
     gram, share = _gram(log, vector, rows, lags), _shares(log, vector, rows.size)
     scan = _DelayRegressions(gram, share, layout, lags.size)
     own = np.round(_PARTS * (vector[layout.at_delays] / h - first + 1)).astype(int)
@@ -110,18 +111,22 @@ def _gram(
     return np.asarray(total)
 
 
-def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part r r"]:
-    """K in W((1 − f) h) b = W(h) K b: the share of the newer of two inputs that arrives at f h.
+def _shares(log: NoisyLog, vector: np.ndarray, rows: int) -> Float[np.ndarray, "mode part lag r r"]:
+    """K in P b = W(h) K b: the share of each input that acts, the newest first, of arrivals at f h.
 
-    Where some rows of b are 0, K is replaced by its approximation 1 − f.
+    Where some rows of b are 0, K is that of A = 0.
     """
-    late = np.arange(_PARTS) / _PARTS
-    modes, n = log.layout.modes, log.layout.n
-    if rows < n:
-        return np.tile((1.0 - late)[:, None, None] * np.eye(rows), (modes, 1, 1, 1))
+    h, lags, n = log.recording.step, log.sampling.lags, log.layout.n
     A = log.layout.split(vector[: log.layout.size])[0]
-    acting = [transitions_of(one, log.recording.step * (1.0 - late)).W for one in A]
-    return np.array([[np.linalg.lstsq(W[0], part, rcond=None)[0] for part in W] for W in acting])
+    if rows < n:
+        A, n = np.zeros((len(A), 1, 1)), 1
+    shares = np.empty((len(A), _PARTS, lags, n, n))
+    for place in np.ndindex(len(A), _PARTS):
+        rest = np.full(n, h * (1.0 - place[1] / _PARTS))
+        P, _ = period_weights(A[place[0]], np.eye(n), rest, h, False, log.sampling.hold)
+        weights = P[:, n:].reshape(n, lags, n).swapaxes(0, 1)[::-1]
+        shares[place] = np.linalg.solve(weights.sum(axis=0), weights)
+    return shares if rows == log.layout.n else shares * np.eye(rows)
 
 
 class _DelayRegressions:
@@ -129,7 +134,7 @@ class _DelayRegressions:
 
     def __init__(self, gram: np.ndarray, share: np.ndarray, layout: Layout, lags: int) -> None:
         self.layout, self.rows, self.share = layout, share.shape[-1], share
-        self.options = (lags - 1) * _PARTS + 1
+        self.options = (lags + 1 - share.shape[2]) * _PARTS + 1
         columns = lags * layout.m + layout.constant
         every = 1 + np.arange(layout.modes * self.rows * columns).reshape(-1, self.rows, columns)
         self.place = every[:, :, : lags * layout.m].reshape(-1, self.rows, lags, layout.m)
@@ -143,16 +148,16 @@ class _DelayRegressions:
             self.gram = gram - gram[:, self.constant] @ self.by_constant
 
     def _columns(self, places: _Options) -> tuple[np.ndarray, ...]:
-        """For each mode, row and input with a delay, the columns of two lags and their weights."""
-        of, rows = self.layout.spread(np.arange(self.layout.delays)), np.arange(self.rows)
+        """For each mode, row and input with a delay, the columns of acting lags, their weights."""
+        of, last = self.layout.spread(np.arange(self.layout.delays)), self.place.shape[2] - 1
         at, weight = [], []
         for i, row, j in np.ndindex(self.layout.modes, self.rows, self.layout.m):
             if (place := places[of[i, j]]) is not None:
-                lag, part = np.divmod(np.asarray(place)[..., None], _PARTS)
-                later = np.minimum(lag + 1, self.place.shape[2] - 1)
-                new, own = self.share[i, part, rows, row], self.place[i, rows, :, j]
-                at.append(np.concatenate((own[rows, lag], own[rows, later]), axis=-1))
-                weight.append(np.concatenate((new, (rows == row) - new), axis=-1))
+                lag, part = np.divmod(np.asarray(place), _PARTS)
+                lags = np.minimum(lag[..., None] + np.arange(self.share.shape[2]), last)
+                own = np.moveaxis(self.place[i][:, lags, j], 0, -1)  # (*options, lag, row)
+                at.append(own.reshape(*lag.shape, -1))
+                weight.append(self.share[i, part, :, :, row].reshape(*lag.shape, -1))
         return tuple(np.stack(np.broadcast_arrays(*one), axis=-2) for one in (at, weight))
 
     def weights(self, places: _Options) -> tuple[np.ndarray, np.ndarray]:

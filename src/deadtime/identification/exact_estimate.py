@@ -75,7 +75,7 @@ def estimate_of_plant(
     """
     log, theta = peak.log, peak.best.theta
     plant, constant = log.layout.plant(theta), log.layout.constant_of(theta)
-    model = FittedModel(plant, constant, log.nodes)
+    model = FittedModel(plant, constant, log.sampling)
     white = model.residuals(recording, log.within, np.linalg.cholesky(S))
     for one, k in zip(white, usable or (), strict=usable is not None):
         one[np.setdiff1d(np.arange(len(one)), k + 1)] = np.nan

@@ -50,7 +50,7 @@ def stretches_of(periods: Periods, layout: Layout, short: bool = False) -> Runs 
 
     Short ones have few periods more than a regression needs, and more often a single mode.
     """
-    columns = layout.n + 2 * layout.m + layout.constant
+    columns = layout.n + periods.sampling.lags * layout.m + layout.constant
     length = (1 if short else 2) * columns + layout.n + 2
     places, start = [], 0
     for k in periods.usable:
@@ -73,7 +73,8 @@ def first_cells(periods: Periods, stretches: Runs, layout: Layout) -> Int[np.nda
         """Of all stretches, without the inputs that have no cell yet."""
         z = periods.rows(np.array([periods.cells[0] if c is None else c for c in cells]))
         known = np.array([c is not None for c in cells])
-        keep = np.concatenate((np.ones(2 * n, bool), known, known, constant))
+        of_inputs = np.tile(known, periods.sampling.lags)
+        keep = np.concatenate((np.ones(2 * n, bool), of_inputs, constant))
         return float(-_own_covariances(z[:, keep][stretches], n)[1].sum())
 
     each = np.vectorize(likelihood, otypes=[float])
@@ -160,20 +161,19 @@ def _expectation_step(periods: Periods, model: Regressions, rows: list[np.ndarra
 
 
 def maximisation_step(
-    rows: list[np.ndarray], posterior: Posterior, jumps: Jumps, cells: ModeCells, common: bool
+    rows: list[np.ndarray], posterior: Posterior, model: Regressions, cells: ModeCells, common: bool
 ) -> Regressions:
     """The likeliest regressions given the posterior of modes; `common`: with one S for all."""
-    count = posterior.weight.sum(axis=0)
+    count, n = posterior.weight.sum(axis=0), model.P.shape[1]
     P, S = [], []
     for z, weight, total in zip(rows, posterior.weight.T, count, strict=True):
-        n = (z.shape[1] - 2 * cells.shape[1]) // 2  # an odd column is that of the constant term
         one = regression_of(rooted(z, weight), n, max(float(total), 1e-300))
         P.append(one[0])
         S.append(one[1])
     S = np.array(S)
     if common:
         S[:] = np.tensordot(count / count.sum(), S, axes=1)
-    return Regressions(np.array(P), S, jumps.next(posterior.counts), cells, count)
+    return Regressions(np.array(P), S, model.jumps.next(posterior.counts), cells, count)
 
 
 def climb_regressions(
@@ -185,7 +185,7 @@ def climb_regressions(
     for _ in range(steps):
         if posterior.weight.sum(axis=0).min() < least:
             return None
-        model = maximisation_step(rows, posterior, model.jumps, model.cells, common)
+        model = maximisation_step(rows, posterior, model, model.cells, common)
         posterior = _expectation_step(periods, model, rows)
         if posterior.value - before < gain:
             break

@@ -264,7 +264,9 @@ def _delay_scan(decoded: DecodedFit) -> Start:
     if layout.per_mode:
         curves = curves.reshape(layout.modes, layout.m, -1)[decoded.order].reshape(curves.shape)
     theta, first = decoded.theta[: decoded.log.layout.size], int(whole.periods.cells[0])
-    return Start(theta, decoded.log.cells(theta), first, curves, 2 * layout.n)
+    return Start(
+        theta, decoded.log.cells(theta), first, curves, decoded.log.sampling.lags * layout.n
+    )
 
 
 def _by_differences(

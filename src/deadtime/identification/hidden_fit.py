@@ -196,7 +196,13 @@ def fit_starts(search: HiddenSearch, layout: Layout, common: bool = False) -> li
     starts = []
     for model, posterior in regressions:
         theta = plant_of(
-            list(model.P), model.cells, model.weight, layout, search.grid.step, search.bounds
+            list(model.P),
+            model.cells,
+            model.weight,
+            layout,
+            search.grid.step,
+            search.bounds,
+            search.grid.hold,
         )
         nodes = nodes_for(search.recording.parts, layout.split(theta)[0])
         within, periods = search.grid_periods.within, search.grid_periods
@@ -252,7 +258,7 @@ def _in_best_cells(
         if cells.tobytes() in tried:
             return model, posterior
         rows = periods.rows_of_modes(cells)
-        model = maximisation_step(rows, posterior, model.jumps, cells, common)
+        model = maximisation_step(rows, posterior, model, cells, common)
 
 
 def fit_hidden(search: HiddenSearch, layout: Layout) -> HiddenFit[HiddenLog]:

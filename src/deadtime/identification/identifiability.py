@@ -157,11 +157,12 @@ def _longest_stay(recording: Recording, mode: int) -> int:
     return max(stays)
 
 
-def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
+def fed_back(recording: Recording, past: int = _PAST) -> Bool[np.ndarray, " m"]:
     """Which inputs are feedback of the measurements of their row and the last ones.
 
     The residuals of an input predicted from its own past, by linear regression in each mode, are
-    compared with the residuals when measurements are used, too.
+    compared with the residuals when measurements are used, too. If the `past` rows of the input are
+    fewer than in a delay, measurements may predict a smooth input because they show older values.
 
     Examples
     --------
@@ -177,9 +178,9 @@ def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
     m = grid.parts[0].input.shape[1]
     new, left, total = np.zeros(m), np.zeros(m), np.zeros(m)
     for i in range(len(grid.modes)):
-        rows = [_rows(part, i) for part in grid.parts]
+        rows = [_rows(part, i, past) for part in grid.parts]
         y, u = (np.concatenate(each) for each in zip(*rows, strict=True))
-        if len(u) < 2 * (y.shape[1] + _PAST * m + 1):
+        if len(u) < 2 * (y.shape[1] + past * m + 1):
             continue
         for j in range(m):
             own = np.column_stack((u[:, 1:, j], np.ones(len(u))))
@@ -189,11 +190,12 @@ def fed_back(recording: Recording) -> Bool[np.ndarray, " m"]:
     return (new > _MOVES * total) & (left < _SHARE * new)
 
 
-def _rows(part: Part, mode: int) -> tuple[np.ndarray, np.ndarray]:
+def _rows(part: Part, mode: int, past: int) -> tuple[np.ndarray, np.ndarray]:
     """Measurements (rows, lags × p) and inputs (rows, lags, m) of rows that stay in a mode."""
-    k = np.arange(_PAST, part.time.size)
-    lags = k[:, None] - np.arange(_PAST + 1)
-    y, u = part.output[lags].reshape(k.size, lags.shape[1] * part.output.shape[1]), part.input[lags]
+    k = np.arange(past, part.time.size)
+    lags = k[:, None] - np.arange(past + 1)
+    y, u = part.output[lags[:, : _PAST + 1]], part.input[lags]
+    y = y.reshape(k.size, (_PAST + 1) * part.output.shape[1])
     known = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
     own = known & (part.mode[lags] == mode).all(axis=1)
     return y[own], u[own]

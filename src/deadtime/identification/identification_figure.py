@@ -128,7 +128,7 @@ def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
     if (log := estimate.of_outputs) is None:
         layout = estimate.log.layout
         constant = layout.constant_of(theta[: layout.size])
-        model = FittedModel(fit.plant, constant, estimate.log.nodes)
+        model = FittedModel(fit.plant, constant, estimate.log.sampling)
         curves = part.output @ back.T, *model.forecast(part, fit.C)
     else:
         states, ahead, free = following(log, theta, part, estimate.window)

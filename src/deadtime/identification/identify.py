@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from deadtime.base.checks import number, reporter
 from deadtime.base.errors import ArgumentError
+from deadtime.identification.between_samples import degree_of, require_causal, with_hold_tested
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.exact_estimate import estimate_exactly
 from deadtime.identification.identifiability import fed_back
@@ -63,6 +64,7 @@ def identify(
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
     rest: bool | None = None,
+    hold: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
     r"""The maximum-likelihood plant of a log: matrices, delays and noise, with intervals.
@@ -78,7 +80,7 @@ def identify(
     ----------
     log : path, DataFrame, or list of them
         CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C or
-        order), u1, u2, … and the mode. An input is held from its row's t to the next row's. A
+        order), u1, u2, … and the mode. An input is held until the next row: see `hold`. A
         missing measurement is an empty cell. The rows need not be evenly spaced.
     modes : str, None, int or sequence of int
         The column of the mode, numbers or texts; None for a plant of one mode. For modes that were
@@ -105,6 +107,11 @@ def identify(
     rest : bool, optional
         Whether inputs before the log equal those of its first row. By default, if inputs and states
         are constant at first and the residuals do not contradict it.
+    hold : "held" or "linear", optional
+        How inputs run between samples: held, as the output of a digital law is, or changing
+        linearly, as a sampled measurement of an analog input nearly does. By default they are taken
+        as held, and this is tested; a linear input that is taken as held makes a delay half a
+        period too short.
     progress : callable, optional
         Called with a few words at every stage.
 
@@ -140,6 +147,7 @@ def identify(
     1
     """
     require_switches(switches)
+    degree = degree_of(hold)
     progress = reporter("progress", progress)
     noise, zeros, rest = choice("noise", noise), choice("zeros", zeros), choice("rest", rest)
     low, high = range_of_delays(delay)
@@ -155,7 +163,9 @@ def identify(
         letter,
         lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
     )
+    recording = recording._replace(hold=degree or 0)
     require_seconds(recording, high)
+    require_causal(recording, (low, high), noise)
     if order is None:
         require_order_for(zeros, outputs, C)
     else:
@@ -164,12 +174,15 @@ def identify(
             order = None
     within = switches == "anywhere"
 
+    def finished(log: IdentifiedLog) -> Identification:
+        return Identification.of(with_hold_tested(log, degree))
+
     def from_recording(recording: Recording) -> Identification:
         bounds = max(low, _SHORTEST * recording.step), high
         about = recording.about(level_of(recording))
         if order is not None:
             of = about, order, zeros, per_mode, bounds, within, progress
-            return Identification.of(identify_outputs(*of))
+            return finished(identify_outputs(*of))
         sensors = sensors_of(C, recording)
         exact_states, n = as_states(about, sensors), sensors.shape[1]
         named = recording.outputs if C is None else tuple(f"x{i + 1}" for i in range(n))
@@ -182,7 +195,7 @@ def identify(
             how = numbers, layout, bounds, within, progress
             hidden, sentences = identify_hidden(*of, *how)
             if hidden is not None:
-                return Identification.of(hidden)
+                return finished(hidden)
         progress(f"looking for the delay between {low:g} and {high:g} s")
         estimate = estimate_exactly(exact_states, layout, bounds, within)
         sure, white = C is not None or bool(noise), list(estimate.white)
@@ -194,7 +207,7 @@ def identify(
             estimate = noisy if sure or not may_be_exact(estimate, noisy) else estimate
         model, why = fit_switching(recording)
         given = estimate, estimate.log.recording, model, why, sensors, named
-        fit = Identification.of(IdentifiedLog(*given))
+        fit = finished(IdentifiedLog(*given))
         if fit.delays_not_found:
             return replace(fit, sentences=(*fit.sentences, *sentences))
         return replace(fit, sentences=(*sentences, *fit.sentences))

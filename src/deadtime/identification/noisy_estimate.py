@@ -194,13 +194,9 @@ def noisy_residuals(
     log: NoisyLog, theta: Vector, window: Window
 ) -> list[Float[np.ndarray, "sample p"]]:
     """The innovations of every part in standard deviations; NaN without a measurement."""
-    starts = log.starts(*window)
-    e, s = log.innovations(theta, starts)
-    fresh = np.concatenate(starts)[:, None] | np.vstack(log.initial(starts))
-    parts = log.recording.parts
-    known = np.vstack([np.isfinite(part.output) for part in parts]) & ~fresh
-    white = np.where(known, e / np.sqrt(s), np.nan)
-    return np.split(white, np.cumsum([part.time.size for part in parts])[:-1])
+    e, s = log.residuals(theta, window)
+    ends = np.cumsum([part.time.size for part in log.recording.parts])
+    return np.split(e / np.sqrt(s), ends[:-1])
 
 
 def first_noises(W: Square, C: SensorMatrix, step: float) -> list[NoiseLevels]:

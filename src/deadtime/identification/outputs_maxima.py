@@ -54,6 +54,7 @@ from deadtime.identification.likelihoods.switched_filter import (
 )
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, Square, Squares, Vector, Window
+from deadtime.identification.sampling import differences_of
 from deadtime.identification.start import matrix_logarithm, start_of
 from deadtime.identification.transition import plain_transitions
 
@@ -75,7 +76,8 @@ def equivalent_delays(log: NoisyLog, theta: Vector) -> list[np.ndarray]:
         lowest = h * (np.floor(D[i, j] / h) - 1.0)
         grid = np.unique(np.clip(lowest + h / _PARTS * np.arange(3 * _PARTS + 1), *log.bounds))
         with np.errstate(all="ignore"):
-            misfit, weights = _pulse_misfits(A, B, entries, float(D[i, j]), grid, shape.C, h)
+            given = entries, float(D[i, j]), grid, shape.C, h, log.sampling.hold
+            misfit, weights = _pulse_misfits(A, B, *given)
         inner = np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] <= misfit[2:])) + 1
         for place in inner[np.abs(grid[inner] - D[i, j]) > _SAME * h / _PARTS]:
             changed, other = B.copy(), D.copy()
@@ -95,14 +97,15 @@ def _pulse_misfits(
     grid: np.ndarray,
     C: np.ndarray,
     step: float,
+    hold: int,
 ) -> tuple[Float[np.ndarray, " grid"], list[Float[np.ndarray, "grid n"]]]:
     """By how much the nearest pulse of every delay misses that of D, and its weights per entry."""
-    first = int(grid[0] / step)
-    k = np.arange(first, first + 2 * A.shape[1] + 6)
+    first = int(grid[0] / step) - hold
+    k = np.arange(first, first + 2 * A.shape[1] + 6 + hold)
     misfit, weights = np.zeros(grid.size), []
     for i, j in entries:
-        target = _pulses(A[i], np.array([D]), k, C, step)[0] @ B[i, :, j]
-        pulses = _pulses(A[i], grid, k, C, step)
+        target = _pulses(A[i], np.array([D]), k, C, step, hold)[0] @ B[i, :, j]
+        pulses = _pulses(A[i], grid, k, C, step, hold)
         finite = np.isfinite(pulses).all(axis=(1, 2), keepdims=True)
         own = np.linalg.pinv(np.where(finite, pulses, 0.0), 1e-12) @ target
         misfit += ((np.einsum("gkn,gn->gk", pulses, own) - target) ** 2).sum(axis=1)
@@ -111,14 +114,19 @@ def _pulse_misfits(
 
 
 def _pulses(
-    A: np.ndarray, delays: np.ndarray, k: np.ndarray, C: np.ndarray, step: float
+    A: np.ndarray, delays: np.ndarray, k: np.ndarray, C: np.ndarray, step: float, hold: int
 ) -> Float[np.ndarray, "delay kp n"]:
-    """The outputs at samples k of a pulse of one period, for every delay, by the weights b."""
+    """The outputs at samples k of a single 1 in row 0, for every delay, by the weights b.
+
+    Held, that is a pulse of a period; linear, a triangle about row 0, from the row before on.
+    """
+    changes = np.arange(hold + 2) - hold  # rows in which the hold's derivative changes
     over = k - delays[:, None] / step
-    since = np.round(np.maximum(np.stack((over, over - 1.0)), 0.0), 9)
+    since = np.round(np.maximum(over - changes[:, None, None], 0.0), 9)
     periods, place = np.unique(since, return_inverse=True)  # of most delays they are the same
-    G = plain_transitions(A[None], step * periods)[1][0][place.reshape(since.shape)]
-    return (C @ (G[0] - G[1])).reshape(delays.size, -1, len(A))
+    G = plain_transitions(A[None], step * periods, hold + 1)[-1, 0][place.reshape(since.shape)]
+    pulse = np.tensordot(differences_of(hold)[-1][::-1] / step**hold, G, (0, 0))
+    return (C @ pulse).reshape(delays.size, -1, len(A))
 
 
 def with_other_delays(estimate: Estimate) -> tuple[Estimate, list[str]]:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Nodes, SensorMatrix, Squares
-from deadtime.identification.sampling import acting_in, fed, known_ends
+from deadtime.identification.parameters import SensorMatrix, Squares
+from deadtime.identification.sampling import Sampling, known_ends, paths_of
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.plant import SwitchedSystem
 
@@ -50,26 +50,29 @@ class ResidualTests(NamedTuple):
 
 
 class FittedModel(NamedTuple):
-    """A plant with the constant terms of its modes, and nodes of interpolation over a period."""
+    """A plant with the constant terms of its modes, and how its log is sampled."""
 
     plant: SwitchedSystem
     constant: Float[np.ndarray, "mode n"]
-    nodes: Nodes
+    sampling: Sampling
 
     def one_step(self, part: Part, k: np.ndarray, states: np.ndarray) -> np.ndarray:
         """States (periods, n) a period after given ones at the samples k of a part."""
-        plant, nodes, result = self.plant, self.nodes, np.empty((k.size, self.plant.states))
-        Phi_at, W_at = plain_transitions(plant.A, nodes)
+        plant, sampling, result = self.plant, self.sampling, np.empty((k.size, self.plant.states))
+        nodes, through = sampling.nodes, paths_of(plant.inputs, plant.inputs, sampling.hold)
+        integrals = plain_transitions(plant.A, nodes, sampling.hold + 1)
+        Phi_at, W_at = integrals[:2]
         for start in range(0, k.size, _BLOCK):
             own = k[start : start + _BLOCK]
             mode = part.mode[own]
             over = interpolation(nodes, part.time[own + 1] - part.time[own])
-            acting = acting_in(part, own, plant.delays, nodes).value
+            acting = sampling.acting(part, own, plant.delays).joined(over, constant=False)
             for i in np.unique(mode):
                 at = np.flatnonzero(mode == i)
                 x = states[start + at]
                 free = np.einsum("kq,qab,kb->ka", over[at], Phi_at[i], x, optimize=True)
-                forced = np.tensordot(acting[at], W_at[i] @ plant.B[i], axes=([1, 2], [0, 2]))
+                push = np.stack([integrals[w, i] @ plant.B[i, :, j] for j, w in through], axis=-1)
+                forced = np.tensordot(acting[at], push, axes=([1, 2], [0, 2]))
                 result[start + at] = free + forced + over[at] @ (W_at[i] @ self.constant[i])
         return result
 
@@ -79,8 +82,8 @@ class FittedModel(NamedTuple):
         """Of every part x_k less its prediction from x_{k−1}, whitened by the roots; else NaN."""
         delays, residuals = self.plant.delays, []
         for part in recording.parts:
-            good = known_ends(part, within) & fed(part, float(delays.max()), float(delays.min()))
-            k = np.flatnonzero(good)
+            fed = self.sampling.fed(part, float(delays.max()), float(delays.min()))
+            k = np.flatnonzero(known_ends(part, within) & fed)
             rest = part.output[k + 1] - self.one_step(part, k, part.output[k])
             rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
             white = np.full(part.output.shape, np.nan)
@@ -95,12 +98,13 @@ class FittedModel(NamedTuple):
     ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
         """States predicted one sample ahead, and simulated from the first known one; else NaN."""
         plant, states = self.plant, part.output @ np.linalg.pinv(C).T
-        k = np.flatnonzero(fed(part, float(plant.delays.max()), float(plant.delays.min())))
+        longest, shortest = float(plant.delays.max()), float(plant.delays.min())
+        k = np.flatnonzero(self.sampling.fed(part, longest, shortest))
         ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
         ahead[k + 1] = self.one_step(part, k, states[k])
         forced = self.one_step(part, k, np.zeros((k.size, plant.states)))
-        Phi_at, _ = plain_transitions(plant.A, self.nodes)
-        over = interpolation(self.nodes, part.time[k + 1] - part.time[k])
+        Phi_at, _ = plain_transitions(plant.A, self.sampling.nodes)
+        over = interpolation(self.sampling.nodes, part.time[k + 1] - part.time[k])
         Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])
         with np.errstate(all="ignore"):
             for row, place in enumerate(k):

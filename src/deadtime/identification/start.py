@@ -1,9 +1,9 @@
 """A first guess of the plant: a linear regression in every cell of the delays, and its logarithm.
 
-With D in the cell [(N − 1) h, N h] only u_{k−N} and u_{k−N+1} act, so x_{k+1} is linear in x_k and
-those for every D in the cell. The N with the likeliest residuals is taken; A = log Φ / h, and the
-weights of the two samples give B and the fraction of the period. A cell needs inputs of its own
-lags alone.
+With D in the cell [(N − 1) h, N h] only u_{k−N}, u_{k−N+1}, and u_{k−N+2} if inputs are linear
+between samples, act, so x_{k+1} is linear in x_k and those for every D in the cell. The N with the
+likeliest residuals is taken; A = log Φ / h, and the weights of the samples give B and, by their
+centre, the fraction of the period. A cell needs inputs of its own lags alone.
 """
 
 from __future__ import annotations
@@ -57,23 +57,27 @@ def start_of(recording: Recording, layout: Layout, bounds: Window, within: bool)
     """A first guess from an evenly sampled recording; delays are within `bounds`, seconds."""
     h = recording.step
     first, last = cell_range(h, bounds, layout.m)
-    scan = _CellScan(_sums_of(recording, layout, first, last, within), layout, first, last)
+    hold = recording.hold
+    sums = _sums_of(recording, layout, first - 1 - hold, last, within)
+    scan = _CellScan(sums, layout, first, last, hold)
     cells, curves = scan.best()
     by_mode = layout.spread(cells)
     P, count = zip(*(scan.regression(i, own) for i, own in enumerate(by_mode)), strict=True)
     require_enough(recording, layout, np.array(count), last * h)
-    theta = plant_of(P, by_mode, np.array(count), layout, h, bounds)
-    return Start(theta, cells, first, curves, 2 * layout.n)
+    theta = plant_of(P, by_mode, np.array(count), layout, h, bounds, hold)
+    return Start(theta, cells, first, curves, (hold + 2) * layout.n)
 
 
 def _sums_of(
-    recording: Recording, layout: Layout, first: int, last: int, within: bool
+    recording: Recording, layout: Layout, latest: int, last: int, within: bool
 ) -> _CommonPeriods | _OwnPeriods:
     """The periods by which a scan compares cells: common ones if these are most of all.
 
+    latest, last : the lags of the newest and of the oldest input of all cells
+
     A log shorter than twice the range of delays has common ones, too: it is refused later.
     """
-    usable = [usable_lags(part, within, first - 1, last) for part in recording.parts]
+    usable = [usable_lags(part, within, latest, last) for part in recording.parts]
     periods = UsablePeriods(recording.parts, usable)
     counts = np.array(periods.counts(layout.modes))
     every = np.zeros(layout.modes)
@@ -82,11 +86,11 @@ def _sums_of(
         every += np.bincount(own, minlength=layout.modes)
     longest = max(part.time.size for part in recording.parts)
     if (counts >= _MOST_OF * every).all() or longest <= 2 * last:
-        return _CommonPeriods(lag_sums(layout, periods, first - 1, last, root=False), counts)
+        return _CommonPeriods(lag_sums(layout, periods, latest, last, root=False), counts)
     some, z = recording.stretches(_ENOUGH, last), [[] for _ in range(layout.modes)]
     for part in some.parts:
         k = np.flatnonzero(known_ends(part, within))
-        rows = stacked(part, k, first - 1, last, layout.constant)
+        rows = stacked(part, k, latest, last, layout.constant)
         for i in range(layout.modes):
             z[i].append(rows[part.mode[k] == i])
     return _OwnPeriods([np.vstack(one) for one in z], layout.n, layout.constant)
@@ -155,11 +159,12 @@ def plant_of(
     layout: Layout,
     h: float,
     bounds: Window,
+    hold: int,
 ) -> Vector:
-    """The plant of regressions on x_k, u_{k−N} and u_{k−N+1}, each over `count` periods."""
+    """The plant of regressions on x_k, u_{k−N}, …, u_{k−N+hold+1}, each over `count` periods."""
     A, B, D = np.zeros((layout.modes, layout.n, layout.n)), [], []
     for i in range(layout.modes):
-        A[i], b, part = _logarithm(P[i], layout, h)
+        A[i], b, part = _logarithm(P[i], layout, h, hold)
         B.append(b)
         D.append((cells[i] - part) * h)
     D = np.array(D)
@@ -173,9 +178,15 @@ class _CellScan:
     """Linear regressions over the cells of all delays."""
 
     def __init__(
-        self, sums: _CommonPeriods | _OwnPeriods, layout: Layout, first: int, last: int
+        self,
+        sums: _CommonPeriods | _OwnPeriods,
+        layout: Layout,
+        first: int,
+        last: int,
+        hold: int,
     ) -> None:
-        self.sums, self.layout, self.first = sums, layout, first
+        self.sums, self.layout, self.hold = sums, layout, hold
+        self.latest = first - 1 - hold
         self.cells = np.arange(first, last + 1)
 
     def best(self) -> tuple[np.ndarray, np.ndarray]:
@@ -202,15 +213,15 @@ class _CellScan:
     def _sums(self, mode: int, chosen: tuple[int | None, ...]) -> tuple[np.ndarray, int]:
         n, m = self.layout.n, self.layout.m
         columns = [*range(2 * n)]
-        for lag in (0, -1):
-            of = [(j, c) for j, c in enumerate(chosen) if c is not None]
-            columns += [2 * n + (c + lag - self.first + 1) * m + j for j, c in of]
+        of = [(j, c) for j, c in enumerate(chosen) if c is not None]
+        for newer in range(self.hold + 2):
+            columns += [2 * n + (c - newer - self.latest) * m + j for j, c in of]
         if self.layout.constant:
-            columns.append(2 * n + (self.cells.size + 1) * m)
+            columns.append(2 * n + (self.cells.size + 1 + self.hold) * m)
         return self.sums.of(mode, columns)
 
     def regression(self, mode: int, cells: np.ndarray) -> tuple[Float[np.ndarray, "n r"], int]:
-        """Φ, then the weights of u_{k−N}, of u_{k−N+1} and of 1; and the number of periods."""
+        """Φ, then the weights of u_{k−N}, of u_{k−N+1}, …, and of 1; and the number of periods."""
         M, count = self._sums(mode, tuple(cells.tolist()))
         return _regressed(M, self.layout.n)[0], count
 
@@ -239,16 +250,19 @@ def _regressed(M: Float[np.ndarray, "z z"], n: int) -> tuple[Float[np.ndarray, "
 
 
 def _logarithm(
-    P: Float[np.ndarray, "n r"], layout: Layout, h: float
+    P: Float[np.ndarray, "n r"], layout: Layout, h: float, hold: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, and the part of a period in which the newer sample acts."""
-    n, m = layout.n, layout.m
+    """A, B, and the part of a period in which the newest sample acts.
+
+    If inputs are linear the centre of the weights is half a period later.
+    """
+    n, m, lags = layout.n, layout.m, hold + 2
     A = matrix_logarithm(P[:, :n]) / h
-    old, new = P[:, n : n + m], P[:, n + m : n + 2 * m]
-    whole = old + new
-    part = (new * whole).sum(axis=0) / np.maximum((whole**2).sum(axis=0), 1e-300)
+    of = P[:, n : n + lags * m].reshape(n, lags, m)
+    whole, centre = of.sum(axis=1), np.tensordot(np.arange(lags), of, (0, 1))
+    part = (centre * whole).sum(axis=0) / np.maximum((whole**2).sum(axis=0), 1e-300) - 0.5 * hold
     W = transitions_of(A, np.array([h])).W[0]
-    B = np.linalg.solve(W, np.hstack((whole, P[:, n + 2 * m :])))
+    B = np.linalg.solve(W, np.hstack((whole, P[:, n + lags * m :])))
     return A, B, np.clip(part, 0.02, 0.98)
 
 

@@ -1,9 +1,10 @@
 """Transition matrices and noise covariances of a plant over a time τ, and their derivatives by A.
 
-    Φ(τ) = e^{Aτ},   W(τ) = ∫₀^τ e^{As} ds,   ∂Φ/∂A_ab, ∂W/∂A_ab
+    Φ(τ) = e^{Aτ} = W₀,   W_{j+1}(τ) = ∫₀^τ W_j(s) ds,   W = W₁,   ∂W_j/∂A_ab
 
-Both are in exp τ[[A, I], [0, 0]], and the derivative of an exponential in the direction E is the
-corner of exp[[Z, E], [0, Z]] (Van Loan, IEEE Trans. Automat. Control 23(3), 1978). Likewise
+All W_j up to W_q are the first row of blocks of exp τZ, Z = [[A, I, 0], [0, 0, I], [0, 0, 0]] for
+q = 2, and the derivative of an exponential in the direction E is the corner of exp[[Z, E], [0, Z]]
+(Van Loan, IEEE Trans. Automat. Control 23(3), 1978). Likewise
 
     ∂Q/∂A_ab = ∫₀^τ (∂Φ W Φᵀ + Φ W ∂Φᵀ) ds,    Q(τ) = ∫₀^τ Φ W Φᵀ ds
 
@@ -23,55 +24,85 @@ from deadtime.numerics.exponential import discretise_all
 
 
 class TransitionMaps(NamedTuple):
-    """Φ and W of times, and their derivatives by A_ab, a n + b their place."""
+    """Φ and its repeated integrals W_j at times, W_0 = Φ, and their derivatives by A_ab.
 
-    Phi: Float[np.ndarray, "time n n"]
-    W: Float[np.ndarray, "time n n"]
-    Phi_by_A: Float[np.ndarray, "time n*n n n"]
-    W_by_A: Float[np.ndarray, "time n*n n n"]
+    by_A : the third index is a n + b
+    """
+
+    integrals: Float[np.ndarray, "integral time n n"]
+    by_A: Float[np.ndarray, "integral time nn n n"]
+
+    @property
+    def Phi(self) -> Float[np.ndarray, "time n n"]:
+        return self.integrals[0]
+
+    @property
+    def W(self) -> Float[np.ndarray, "time n n"]:
+        return self.integrals[1]
+
+    @property
+    def Phi_by_A(self) -> Float[np.ndarray, "time nn n n"]:
+        return self.by_A[0]
+
+    @property
+    def W_by_A(self) -> Float[np.ndarray, "time nn n n"]:
+        return self.by_A[1]
 
 
 def transitions_of(
-    A: Square, times: Float[np.ndarray, " time"], slopes: bool = True
+    A: Square, times: Float[np.ndarray, " time"], slopes: bool = True, order: int = 1
 ) -> TransitionMaps:
-    """Φ, W and their derivatives at times, seconds; without `slopes` none of these.
+    """Φ, its integrals up to W_order, and their derivatives at times, seconds.
+
+    Without `slopes` there are no derivatives.
 
     Examples
     --------
     >>> transitions_of(np.array([[0.0]]), np.array([2.0])).W_by_A.ravel()
     array([2.])
+    >>> transitions_of(np.array([[0.0]]), np.array([2.0]), order=2).integrals.ravel()
+    array([1., 2., 2.])
     """
     from scipy.linalg import expm
 
-    n, size = len(A), 2 * len(A)
+    n, count = len(A), order + 1
     if not slopes:
-        Phi, W = (one[0] for one in plain_transitions(A[None], times))
-        return TransitionMaps(Phi, W, *np.empty((2, times.size, 0, n, n)))
-    # [[A, I], [0, 0]] twice on the diagonal; above it the direction E_ab, one a matrix.
+        integrals = plain_transitions(A[None], times, order)[:, 0]
+        return TransitionMaps(integrals, np.empty((count, times.size, 0, n, n)))
+    size = count * n
+    # The chain twice on the diagonal; above it the direction E_ab, one a matrix.
     joint = np.zeros((times.size, n * n, 2 * size, 2 * size))
-    for place in (0, size):
-        joint[..., place : place + n, place : place + n] = A
-        joint[..., place : place + n, place + n : place + size] = np.eye(n)
+    joint[..., :size, :size] = joint[..., size:, size:] = _chain(A, count)
     a, b = np.divmod(np.arange(n * n), n)
     joint[:, np.arange(n * n), a, size + b] = 1.0
     with np.errstate(all="ignore"):  # of a trial far out e^{Aτ} overflows: it is no maximum
-        E = expm(joint * times[:, None, None, None])
-    whole = E[:, 0, :size, :size]
-    moved = E[:, :, :size, size:]
+        E = expm(joint * times[:, None, None, None])[..., :n, :]
+    E = E.reshape(*E.shape[:3], 2, count, n)  # (time, direction, row, half, integral, column)
     return TransitionMaps(
-        whole[:, :n, :n], whole[:, :n, n:], moved[..., :n, :n], moved[..., :n, n:]
+        np.moveaxis(E[:, 0, :, 0], 2, 0).copy(), np.moveaxis(E[:, :, :, 1], 3, 0).copy()
     )
 
 
+def _chain(A: np.ndarray, count: int) -> np.ndarray:
+    """Z of the module, with `count` blocks a row, for one A or many."""
+    n = A.shape[-1]
+    Z = np.empty((*A.shape[:-2], count * n, count * n))
+    Z[:] = np.eye(count * n, k=n)
+    Z[..., :n, :n] = A
+    return Z
+
+
 def plain_transitions(
-    A: Float[np.ndarray, "many n n"], times: Float[np.ndarray, " time"]
-) -> tuple[Float[np.ndarray, "many time n n"], Float[np.ndarray, "many time n n"]]:
-    """Φ and W of many matrices at times."""
+    A: Float[np.ndarray, "many n n"], times: Float[np.ndarray, " time"], order: int = 1
+) -> Float[np.ndarray, "integral many time n n"]:
+    """Φ and its integrals up to W_order, of many matrices at times."""
     many, n = A.shape[:2]
-    mode, unit = np.repeat(np.arange(many), times.size), np.tile(np.eye(n), (many, 1, 1))
-    each = discretise_all(np.ascontiguousarray(A), unit, mode, np.tile(times, many))
-    Phi, W = (one.reshape(many, times.size, n, n) for one in each)
-    return Phi, W
+    size = order * n
+    mode, unit = np.repeat(np.arange(many), times.size), np.tile(np.eye(size), (many, 1, 1))
+    each = discretise_all(_chain(A, order), unit, mode, np.tile(times, many))
+    Phi, W = (one.reshape(many, times.size, size, order, n)[:, :, :n] for one in each)
+    # e^{Zτ} has the integrals up to the last but one, its own integral has the last.
+    return np.moveaxis(np.concatenate((Phi, W[..., -1:, :]), axis=-2), -2, 0).copy()
 
 
 def nodes_of(longest: float, rate: float) -> Nodes:

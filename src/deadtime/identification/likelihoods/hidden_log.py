@@ -64,6 +64,9 @@ class HiddenLog(PlantLikelihood):
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenLog:
         return replace(self, S=self.S[order], jumps=self.jumps.ordered(order))
 
+    def along(self, recording: Recording) -> ExactLog:
+        return ExactLog(recording, self.layout, self.within, self.bounds, self.nodes)
+
     def over(self, low: float, high: float) -> HiddenLog:
         """The likelihood of the periods that are usable for delays between two, seconds."""
         return replace(self, periods=self.periods.over(low, high))
@@ -158,6 +161,9 @@ class HiddenNoisyLog(SensorLikelihood):
     def along(self, recording: Recording) -> NoisyLog:
         """The likelihood with known modes, those of a recording, which change at samples."""
         return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
+
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        return self.along(self.recording).residuals(vector, window)
 
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
         errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)

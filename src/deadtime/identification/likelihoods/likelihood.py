@@ -15,7 +15,7 @@ the triangular factor of the stacked z, block by block, because squaring would l
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -91,6 +91,17 @@ class Likelihood(Frozen, ABC):
         The usable periods depend on the range: likelihoods compare in the same range only.
         """
 
+    @abstractmethod
+    def along(self, recording: Recording) -> Likelihood:
+        """The likelihood with known modes, those of a recording."""
+
+    @abstractmethod
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of one-step predictions with known modes, and the variances known of them.
+
+        Two arrays (samples, p), NaN where a period is not usable for delays in a window.
+        """
+
     @cached_property
     def sampling(self) -> Sampling:
         """How the recording was sampled."""
@@ -113,6 +124,23 @@ class PlantLikelihood(Likelihood):
 
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         return np.arange(self.layout.size)
+
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        layout, cells, sampling = self.layout, self.cells(vector), self.sampling
+        reads, every = sampling.reads(layout, vector, cells), []
+        maps = sampling.maps(layout, vector, cells, slopes=False)
+        for part in self.recording.parts:
+            e = np.full((part.time.size, layout.n), np.nan)
+            usable = sampling.usable(part, self.within, *window)
+            for i, own in enumerate(maps):
+                k = usable[part.mode[usable] == i]
+                if not k.size:
+                    continue
+                z = sampling.rows(part, k, reads[i], layout.constant)
+                e[k + 1] = z[:, : layout.n] - z[:, layout.n :] @ own.P.T
+            every.append(e)
+        e = np.vstack(every)
+        return e, np.ones(e.shape)
 
 
 def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH) -> Window:
@@ -232,6 +260,9 @@ class ExactLog(PlantLikelihood):
 
     usable: tuple[Int[np.ndarray, " period"], ...] | None = field(default=None, repr=False)
     weight: Float[np.ndarray, "every mode"] | None = field(default=None, repr=False)
+
+    def along(self, recording: Recording) -> ExactLog:
+        return replace(self, recording=recording, usable=None, weight=None)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
         """The regressions for delays in a range, seconds, in cells of delays."""

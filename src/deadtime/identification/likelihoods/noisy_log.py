@@ -48,7 +48,7 @@ from deadtime.identification.likelihoods.switched_filter import (
     Sensors,
     SwitchedKalmanFilter,
 )
-from deadtime.identification.log.recording import Part
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import (
     Cells,
     FisherMatrix,
@@ -58,7 +58,6 @@ from deadtime.identification.parameters import (
     Vector,
     Window,
 )
-from deadtime.identification.sampling import fed
 from deadtime.identification.scoring import Evaluate, Evaluation
 
 
@@ -201,7 +200,7 @@ class SensorLikelihood(Likelihood):
         starts = []
         for part in self.recording.parts:
             start = np.ones(part.time.size, bool)
-            start[1:] = ~fed(part, high, low)
+            start[1:] = ~self.sampling.fed(part, high, low)
             if self.within:
                 start[1:] |= part.mode[1:] != part.mode[:-1]
             starts.append(start)
@@ -307,6 +306,16 @@ class NoisyLog(SensorLikelihood):
         sensors = Sensors(self.C, self.noise(vector).deviation ** 2, self.P0)
         left_out = self.initial(starts)
         return SwitchedKalmanFilter(self.recording.parts, starts, left_out, periods_of, sensors)
+
+    def along(self, recording: Recording) -> NoisyLog:
+        return replace(self, recording=recording)
+
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        starts = self.starts(*window)
+        e, s = self.innovations(vector, starts)
+        fresh = np.concatenate(starts)[:, None] | np.vstack(self.initial(starts))
+        known = np.vstack([np.isfinite(part.output) for part in self.recording.parts]) & ~fresh
+        return np.where(known, e, np.nan), s
 
     def innovations(self, vector: Vector, starts: Starts) -> tuple[np.ndarray, np.ndarray]:
         """Errors and variances of all measurements, (samples, p) each."""

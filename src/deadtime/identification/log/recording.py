@@ -53,13 +53,16 @@ class Part(NamedTuple):
         columns = (column[own] for column in self[:4])
         return Part(*columns, rests=self.rests and bool(first.all()))
 
-    def on_a_grid(self, step: float) -> Part:
+    def on_a_grid(self, step: float, hold: int) -> Part:
         """The part resampled on an even grid, states by linear interpolation."""
         time = self.time[0] + step * np.arange(int((self.time[-1] - self.time[0]) / step) + 1)
         # The factor keeps a grid time that round-off puts just below its sample at that sample.
         before = np.searchsorted(self.time, time * (1.0 + 1e-15), side="right") - 1
-        output = np.column_stack([np.interp(time, self.time, one) for one in self.output.T])
-        return Part(time, output, self.input[before], self.mode[before], self.rests)
+        y, u = (
+            np.column_stack([np.interp(time, self.time, one) for one in columns.T])
+            for columns in (self.output, self.input)
+        )
+        return Part(time, y, u if hold else self.input[before], self.mode[before], self.rests)
 
 
 class Level(NamedTuple):
@@ -79,6 +82,7 @@ class Recording(NamedTuple):
     absent : modes declared as categories of a table and never visited
     level : the values subtracted from all columns; None if plants rest at 0
     constants : names and values of inputs that never move and are left out
+    hold : the degree of the inputs between samples, 0 where they are held, 1 where linear
     """
 
     parts: tuple[Part, ...]
@@ -91,6 +95,7 @@ class Recording(NamedTuple):
     absent: tuple[str, ...] = ()
     level: Level | None = None
     constants: tuple[tuple[str, float], ...] = ()
+    hold: int = 0
 
     def about(self, level: Level) -> Recording:
         """The recording with a level subtracted."""
@@ -129,7 +134,7 @@ class Recording(NamedTuple):
         """The recording resampled on an even grid, states by linear interpolation."""
         if self.even:
             return self
-        parts = tuple(part.on_a_grid(self.step) for part in self.parts)
+        parts = tuple(part.on_a_grid(self.step, self.hold) for part in self.parts)
         return self._replace(parts=parts, even=True)
 
     def lag(self, delay: float) -> int:
