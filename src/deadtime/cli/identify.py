@@ -166,7 +166,9 @@ def identify(
         answer, *details = sentences
         print_answer(answer, f"A plant from {sampling_of(fit)}{_numbered(fit)}", "")
         if fit.processes:
-            print_table(PROCESS_HEADINGS, process_rows(fit))
+            wide = process_rows(fit)  # intervals below estimates fit on a narrow terminal
+            rows = [(name, *(one.replace(" (", "\n(") for one in cells)) for name, *cells in wide]
+            print_table(PROCESS_HEADINGS, rows)
             print()
         print_table(HEADINGS, interval_rows(fit))
         print()

@@ -81,9 +81,9 @@ class Quantity(NamedTuple):
     Examples
     --------
     >>> str(Quantity(2.0131, 1.9787, 2.0476, "°C/%")), str(Quantity(61.21, 58.1, 64.3, "s"))
-    ('2.01 (1.98 … 2.05) °C/%', '61 s (58 … 64)')
-    >>> str(Quantity(float("inf"), 432.1, float("inf"), "s"))
-    'at least 432 s'
+    ('2.01 (1.98 … 2.05) °C/%', '61.2 s (58.1 … 64.3)')
+    >>> str(Quantity(float("inf"), 9032.1, float("inf"), "s"))
+    'at least 9,030 s'
     """
 
     value: float
@@ -96,9 +96,9 @@ class Quantity(NamedTuple):
             return "not determined"
         unit = f" {self.unit}" if self.unit else ""
         if np.isinf(self.high):
-            return f"at least {self.low:.3g}{unit}"
+            return f"at least {float(f'{self.low:.3g}'):,.6g}{unit}"
         if np.isinf(self.low):
-            return f"at most {self.high:.3g}{unit}"
+            return f"at most {float(f'{self.high:.3g}'):,.6g}{unit}"
         value, low, high = _rounded(self.value, self.low, self.high)
         if self.unit in _TIMES:
             return f"{value}{unit} ({low} … {high})"
@@ -106,14 +106,14 @@ class Quantity(NamedTuple):
 
 
 def _rounded(value: float, low: float, high: float) -> list[str]:
-    """The texts of an estimate and its ends, which differ in one or two digits."""
+    """Texts of an estimate and its ends, rounded by at most a seventh of the half width."""
     size, half = max(abs(low), abs(high)), 0.5 * (high - low)
     if not half > 1e-9 * size:
         return [f"{one:.6g}" for one in (value, low, high)]
-    digits = 1 + int(np.floor(np.log10(size)) - np.floor(np.log10(half)))
-    places = -int(np.floor(np.log10(half)))
+    places = -int(np.floor(np.log10(half / 3.4)))
     if 1e-4 < size < 1e6:
         return [f"{round(one, places):.{max(places, 0)}f}" for one in (value, low, high)]
+    digits = 1 + int(np.floor(np.log10(size))) + places
     return [f"{one:.{digits}g}" for one in (value, low, high)]
 
 
@@ -128,8 +128,7 @@ class Oscillation(NamedTuple):
 class Process(Frozen):
     """The transfer function from an input to an output in a mode, in an engineer's quantities.
 
-    Time constants and oscillations are those of the mode: an output of a plant of several states
-    need not show all of them.
+    Poles that do not significantly act between the two are left out, unless none does.
 
     Attributes
     ----------
@@ -185,7 +184,7 @@ class Process(Frozen):
         """Gain, dynamics and dead time, for a table."""
         moves = [f"{time}" for time in self.time_constants]
         moves += [f"ω {one.frequency}, ζ {one.damping}" for one in self.oscillations]
-        return f"{self.gain}", "; ".join(moves) or "integrator", f"{self.dead_time}"
+        return f"{self.gain}", "; ".join(moves) or "none", f"{self.dead_time}"
 
     def __str__(self) -> str:
         times = " and ".join(map(str, self.time_constants))
@@ -210,7 +209,7 @@ def processes_of(estimate: Estimate, recording: Recording, C: SensorMatrix) -> t
         return ()
     D = np.column_stack((estimate.delays, estimate.intervals))
     D[D[:, 1] <= estimate.log.bounds[0], 1] = estimate.searched[0]
-    told = ~(estimate.missed | np.any(estimate.range_flags[1:], axis=0))
+    told = ~(estimate.missed | estimate.several | estimate.range_flags[1])
     covariance, reach = _covariance(estimate)
     for i, mode in enumerate(recording.modes):
         places = np.append(layout.of_A[i].ravel(), layout.of_B[i][:, : layout.m].ravel())
@@ -245,8 +244,7 @@ def _covariance(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
 class TransferMatrix(NamedTuple):
     """N and p of all outputs and inputs of a mode, without a pole that is fixed at 0.
 
-    V : covariance of p₁ … p_n and of the last coefficients of N, output by output; q : Student's
-    quantile
+    V : covariance of p₁ … p_n, and of all of N, power by power; q : Student's quantile
     """
 
     N: Float[np.ndarray, "power p m"]
@@ -271,7 +269,7 @@ class TransferMatrix(NamedTuple):
             moved = entries.astype(complex)
             moved[a] += 1j * _TINY
             N, p = coefficients(moved[: n * n].reshape(A.shape), moved[n * n :].reshape(B.shape), C)
-            slopes.append(np.append(p[1:], N[-1].ravel()).imag / _TINY)
+            slopes.append(np.append(p[1:], N.ravel()).imag / _TINY)
         by_entry = np.array(slopes).T
         V = by_entry @ covariance @ by_entry.T
         N, p = (one.real for one in coefficients(A, B, C))
@@ -317,9 +315,7 @@ class TransferMatrix(NamedTuple):
         return Quantity(value, -1.0 / low, longest, "s")
 
     def oscillation(self, pole: complex) -> Oscillation:
-        """Of p(λ) = 0 follows dλ = −m(λ)ᵀ dp/p'(λ)."""
-        n = self.order
-        by_p = -(pole ** np.arange(n - 1, -1, -1)) / np.polyval(np.polyder(self.p), pole)
+        n, by_p = self.order, self._by_p(pole)
         square, twice = abs(pole) ** 2, -2.0 * pole.real
         slopes = np.array([2.0 * (np.conj(pole) * by_p).real, -2.0 * by_p.real])
         V = slopes @ self.V[:n, :n] @ slopes.T
@@ -329,18 +325,37 @@ class TransferMatrix(NamedTuple):
         ends = ratio_ends(twice, 2.0 * ω, (V * unit * unit[:, None])[::-1, ::-1], self.q)
         return Oscillation(Quantity(ω, low, high, "rad/s"), Quantity(twice / (2.0 * ω), *ends))
 
+    def _by_p(self, pole: complex) -> np.ndarray:
+        """The derivatives of a pole by p₁ … p_n: of p(λ) = 0 follows dλ = −m(λ)ᵀ dp/p'(λ)."""
+        powers = np.arange(self.order - 1, -1, -1)
+        return -(pole**powers) / np.polyval(np.polyder(self.p), pole)
+
+    def shows(self, pole: complex, output: int, input: int) -> bool:
+        """Whether the log shows a pole between an input and an output: N(λ) is not 0.
+
+        Otherwise N cancels it, as that of a tank which does not feed the output's.
+        """
+        N = self.N[:, output, input]
+        by = np.zeros(self.N.shape, complex)
+        by[:, output, input] = pole ** np.arange(N.size - 1, -1, -1)
+        by_all = np.append(self._by_p(pole) * np.polyval(np.polyder(N), pole), by.ravel())
+        variance = float((by_all @ self.V @ by_all.conj()).real)
+        return bool(abs(np.polyval(N, pole)) > self.q * np.sqrt(variance))
+
     def process(
         self, output: int, input: int, names: tuple[str, str, str], dead_time: Quantity
     ) -> Process:
-        n, m = self.order, self.N.shape[2]
-        last, above = float(self.p[-1]), float(self.N[-1, output, input])
-        places = [n + output * m + input, *([n - 1] if n else [])]
+        n, last, above = self.order, float(self.p[-1]), float(self.N[-1, output, input])
+        place = n + int(np.ravel_multi_index((-1 % len(self.N), output, input), self.N.shape))
+        places = [place, n - 1] if n else [place]
         V = np.zeros((2, 2))
         V[: len(places), : len(places)] = self.V[np.ix_(places, places)]
         value = above / last if last > 0.0 else np.copysign(np.inf, above)
         gain = Quantity(value, *ratio_ends(above, last, V, self.q), self._unit(*names[1:]))
-        real = [pole.real for pole in self.poles if pole.imag == 0.0]
-        pairs = [pole for pole in self.poles if pole.imag > 0.0]
+        every = self.poles.tolist()
+        shown = [pole for pole in every if self.shows(pole, output, input)] or every
+        real = [pole.real for pole in shown if pole.imag == 0.0]
+        pairs = [pole for pole in shown if pole.imag > 0.0]
         numerator = np.trim_zeros(self.N[:, output, input], "f")
         return Process(
             *names,
@@ -388,11 +403,11 @@ def ratio_ends(
 
     Examples
     --------
-    >>> ratio_ends(2.0, 1.0, np.diag([0.01, 0.0]), 2.0)
-    (1.8, 2.2)
+    >>> [round(end, 3) for end in ratio_ends(2.0, 1.0, np.diag([0.01, 0.0]), 2.0)]
+    [1.8, 2.2]
     >>> low, high = ratio_ends(2.0, 1.0, np.diag([0.01, 0.36]), 2.0)
     >>> round(low, 3), high
-    (0.907, inf)
+    (0.901, inf)
     """
     square, product = below**2 - q**2 * V[1, 1], above * below - q**2 * V[0, 1]
     constant = above**2 - q**2 * V[0, 0]

@@ -299,7 +299,7 @@ def _outliers(estimate: Estimate, recording: Recording, C: SensorMatrix) -> list
 def _states(estimate: Estimate, recording: Recording) -> list[str]:
     """Sentences on the states of outputs alone."""
     shape = estimate.of_outputs and estimate.of_outputs.embedding
-    if shape is None:
+    if shape is None or not shape.upper.size:
         return []
     each = zip(recording.outputs, shape.order, strict=True)
     named = [f"{name}{_DERIVATIVES[min(count, 3)].format(count - 1)}" for name, count in each]

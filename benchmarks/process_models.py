@@ -1,0 +1,84 @@
+"""Gain, time constant and dead time of step tests: how often the 95 % intervals hold the truth.
+
+    python benchmarks/process_models.py --draws 100 --rows 1 5 --moves 2 4 20 --noise 0.01 0.1
+
+Logs in closed form, with no code of the package: K = 2, τ = 60 s, D = 12.3 s, an input that is held
+for 180 s (60 s where it moves 20 times) at levels of ±1 by chance, noise of the sensor as a share
+of the gain, delays looked for up to 60 s, `model="fopdt"`.
+"""
+
+import argparse
+import time
+
+import numpy as np
+import pandas as pd
+
+import deadtime as dt
+
+GAIN, LAG, DEAD = 2.0, 60.0, 12.3
+TRUTH = {"gain": GAIN, "time constant": LAG, "dead time": DEAD}
+
+
+def made(rng, h, moves, noise):
+    """A log of so many moves of the input, each by ±1 or ±2."""
+    held, t0 = (60.0 if moves > 10 else 180.0), 30.0
+    t = np.arange(0.0, t0 + moves * held, h)
+    u, y, level = np.zeros(t.size), np.zeros(t.size), 0.0
+    for i in range(moves):
+        new = rng.choice([one for one in (-1.0, 0.0, 1.0) if one != level])
+        at = t0 + i * held
+        late = np.maximum(t - at - DEAD, 0.0)
+        y += (new - level) * GAIN * -np.expm1(-late / LAG)
+        u[t >= at - 1e-9], level = new, new
+    return pd.DataFrame({"t": t, "y1": y + noise * GAIN * rng.standard_normal(t.size), "u1": u})
+
+
+def tried(seed, h, moves, noise):
+    """For each quantity whether its interval holds the truth, and its length over the truth."""
+    own = seed, int(h), moves, int(1e3 * noise)
+    log = made(np.random.default_rng(own), h, moves, noise)
+    began = time.perf_counter()
+    fit = dt.identify(log, modes=None, delay=(0.0, 60.0), model="fopdt")
+    spent = time.perf_counter() - began
+    if not fit.processes:
+        return None, spent
+    (one,) = fit.processes
+    found = dict(zip(TRUTH, (one.gain, one.time_constants[0], one.dead_time), strict=True))
+    return {
+        name: (each.low <= TRUTH[name] <= each.high, (each.high - each.low) / TRUTH[name])
+        for name, each in found.items()
+    }, spent
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--draws", type=int, default=100)
+    parser.add_argument("--rows", type=float, nargs="+", default=[1.0, 5.0])
+    parser.add_argument("--moves", type=int, nargs="+", default=[2, 4, 20])
+    parser.add_argument("--noise", type=float, nargs="+", default=[0.01, 0.1])
+    given = parser.parse_args()
+    print(f"| h, moves, noise | logs | not told | {' | '.join(TRUTH)} | s a log |")
+    for h in given.rows:
+        for moves in given.moves:
+            for noise in given.noise:
+                every = [tried(seed, h, moves, noise) for seed in range(given.draws)]
+                told = [one for one, _ in every if one is not None]
+                cells = []
+                for name in TRUTH:
+                    inside = np.mean([one[name][0] for one in told])
+                    width = np.median([one[name][1] for one in told])
+                    cells.append(f"{inside:.1%}, {width:.1%} wide")
+                spent = np.mean([one for _, one in every])
+                few = f"{given.draws - len(told)}"
+                cells = (
+                    f"{h:g} s, {moves}, {noise:.0%}",
+                    f"{len(told)}",
+                    few,
+                    *cells,
+                    f"{spent:.1f}",
+                )
+                print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
