@@ -187,10 +187,11 @@ class Process(Frozen):
         return f"{self.gain}", "; ".join(moves) or "none", f"{self.dead_time}"
 
     def __str__(self) -> str:
+        several, distinct = len(self.time_constants) > 1, {str(one) for one in self.time_constants}
         times = " and ".join(map(str, self.time_constants))
-        several = "s" * (len(self.time_constants) > 1)
+        times = f"{times.partition(' and ')[0]} each" if several and len(distinct) == 1 else times
         parts = [f"{'velocity ' * self.integrating}gain {self.gain}"]
-        parts += [f"time constant{several} {times}"] if times else []
+        parts += [f"time constant{'s' * several} {times}"] if times else []
         for one in self.oscillations:
             parts.append(f"natural frequency {one.frequency}, damping ratio {one.damping}")
         return ", ".join((*parts, f"dead time {self.dead_time}"))
@@ -446,10 +447,15 @@ def process_sentences(
         where += [f"from {one.input}"] if len(recording.inputs) > 1 else []
         text = f"{' '.join(where)}: {one}." if where else f"{one}."
         sentences.append(f"{text[0].upper()}{text[1:]}")
-    if any(not one.bounded and not one.integrating for one in processes):
+    loose = [one.denominator.size - 1 for one in processes if not one.bounded]
+    if loose:
+        say = 'model="integrating", --model integrating'
+        say = (
+            say if loose[0] == 1 else 'model="integrating", order=2, --model integrating --order 2'
+        )
+        advice = f" If it is one, say {say}." if loose[0] <= 2 else ""
         sentences.append(
             "The log does not exclude an integrator, whose gain and time constant have no upper "
-            "end: a longer log or a larger step would decide. If it is one, say "
-            'model="integrating", --model integrating.'
+            f"end: a longer log or a larger step would decide.{advice}"
         )
     return sentences
