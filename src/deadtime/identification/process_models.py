@@ -223,7 +223,8 @@ def processes_of(estimate: Estimate, recording: Recording, C: SensorMatrix) -> t
             row = layout.of_delay[i, j] - layout.of_delay.min()
             if told[row]:
                 names = mode, recording.outputs[a], recording.inputs[j]
-                processes.append(transfer.process(a, j, names, Quantity(*D[row].tolist(), "s")))
+                value, low, high = D[row].tolist()
+                processes.append(transfer.process(a, j, names, Quantity(value, low, high, "s")))
     return tuple(processes)
 
 
@@ -270,10 +271,10 @@ class TransferMatrix(NamedTuple):
             moved = entries.astype(complex)
             moved[a] += 1j * _TINY
             N, p = coefficients(moved[: n * n].reshape(A.shape), moved[n * n :].reshape(B.shape), C)
-            slopes.append(np.append(p[1:], N.ravel()).imag / _TINY)
+            slopes.append(np.imag(np.append(p[1:], N.ravel())) / _TINY)
         by_entry = np.array(slopes).T
         V = by_entry @ covariance @ by_entry.T
-        N, p = (one.real for one in coefficients(A, B, C))
+        N, p = coefficients(A, B, C)
         if p[-1] == V[n - 1, n - 1] == 0.0:
             kept = np.delete(np.arange(len(V)), n - 1)
             return cls(N, p[:-1], V[np.ix_(kept, kept)], q, integrating=True)
@@ -286,9 +287,10 @@ class TransferMatrix(NamedTuple):
     @property
     def poles(self) -> Complex[np.ndarray, " pole"]:
         """Poles, one of each complex pair, the slowest first."""
-        poles = np.roots(self.p).astype(complex)
-        poles = np.where(np.abs(poles.imag) <= _REAL * np.abs(poles), poles.real, poles)
-        return np.array(sorted(poles[poles.imag >= 0.0], key=abs), complex)
+        poles = np.asarray(np.roots(self.p), complex)
+        real = np.abs(np.imag(poles)) <= _REAL * np.abs(poles)
+        poles = np.where(real, np.real(poles), poles)
+        return np.array(sorted(poles[np.imag(poles) >= 0.0], key=abs), complex)
 
     @property
     def unstable(self) -> bool:
@@ -304,8 +306,8 @@ class TransferMatrix(NamedTuple):
         p, V = self.p / scale, self.V[:n, :n] / scale[1:] / scale[1:, None]
         variance = np.zeros(2 * n - 1)
         np.add.at(variance, np.add.outer(np.arange(n), np.arange(n)), V)
-        roots = np.roots(np.polysub(np.polymul(p, p), self.q**2 * variance))
-        real = unit * roots.real[np.abs(roots.imag) <= _REAL * np.abs(roots)]
+        roots = np.asarray(np.roots(np.polysub(np.polymul(p, p), self.q**2 * variance)), complex)
+        real = unit * np.real(roots)[np.abs(np.imag(roots)) <= _REAL * np.abs(roots)]
         below, above = real[real <= pole], real[real >= pole]
         return float(below.max(initial=-np.inf)), float(above.min(initial=np.inf))
 
@@ -318,7 +320,7 @@ class TransferMatrix(NamedTuple):
     def oscillation(self, pole: complex) -> Oscillation:
         n, by_p = self.order, self._by_p(pole)
         square, twice = abs(pole) ** 2, -2.0 * pole.real
-        slopes = np.array([2.0 * (np.conj(pole) * by_p).real, -2.0 * by_p.real])
+        slopes = 2.0 * np.real([np.conj(pole) * by_p, -by_p])
         V = slopes @ self.V[:n, :n] @ slopes.T
         half, ω = self.q * float(np.sqrt(V[0, 0])), float(np.sqrt(square))
         low, high = float(np.sqrt(max(square - half, 0.0))), float(np.sqrt(square + half))
@@ -447,13 +449,14 @@ def process_sentences(
         where += [f"from {one.input}"] if len(recording.inputs) > 1 else []
         text = f"{' '.join(where)}: {one}." if where else f"{one}."
         sentences.append(f"{text[0].upper()}{text[1:]}")
-    loose = [one.denominator.size - 1 for one in processes if not one.bounded]
+    loose = [one for one in processes if not one.bounded]
     if loose:
-        say = 'model="integrating", --model integrating'
-        say = (
-            say if loose[0] == 1 else 'model="integrating", order=2, --model integrating --order 2'
-        )
-        advice = f" If it is one, say {say}." if loose[0] <= 2 else ""
+        order = loose[0].denominator.size - 1
+        advice = ""
+        if order <= 2 and not loose[0].integrating:
+            also = ("", "") if order == 1 else (", order=2", " --order 2")
+            python, command = f'model="integrating"{also[0]}', f"--model integrating{also[1]}"
+            advice = f" If it is one, say {python}, {command}."
         sentences.append(
             "The log does not exclude an integrator, whose gain and time constant have no upper "
             f"end: a longer log or a larger step would decide.{advice}"
