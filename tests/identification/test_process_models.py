@@ -390,3 +390,35 @@ def test_quantities_as_texts(quantity, text):
 def test_units_are_those_in_brackets():
     names = ("Level 1 [cm]", "T (°C)", "T (2)", "x1", "a [1/min] (raw)", "[V]", "position (2) [m]")
     assert [unit_of(name) for name in names] == ["cm", "°C", "", "", "raw", "V", "m"]
+
+
+def test_a_textbook_s_heat_exchanger_has_its_gain_and_lags():
+    """0.8/((30 s + 1)(10 s + 1)(3 s + 1)), %TO/%CO, of which the book's two points make 33.8, 11.2.
+
+    Smith and Corripio, "Principles and Practice of Automatic Process Control", 2nd ed., Wiley 1997,
+    example 7-2.1, fit 3. In second order the shortest lag counts as dead time.
+    """
+    lags = 30.0, 10.0, 3.0
+    late = np.linspace(0.0, 300.0, 30001)
+
+    def rise(s):
+        """Of unequal lags: 1 − Σ T_i^2 e^(−s/T_i) / Π_k≠i (T_i − T_k)."""
+        shares = [T**2 / np.prod([T - other for other in lags if other != T]) for T in lags]
+        return 1.0 - sum(share * np.exp(-s / T) for share, T in zip(shares, lags, strict=True))
+
+    first, second = np.interp([0.283, 0.632], rise(late), late)
+    lag = 1.5 * (second - first)
+    assert lag == pytest.approx(33.8, rel=0.02)
+    assert second - lag == pytest.approx(11.2, rel=0.02)
+    t, rng = np.arange(0.0, 500.0, 2.0), np.random.default_rng(0)
+    u = 60.0 + 5.0 * (t >= 60.0) - 8.0 * (t >= 280.0)
+    y = 52.0 + 0.8 * (
+        5.0 * rise(np.maximum(t - 60.0, 0.0)) - 8.0 * rise(np.maximum(t - 280.0, 0.0))
+    )
+    log = pd.DataFrame({"t": t, "y1: TO": y + 0.02 * rng.standard_normal(t.size), "u1: CO": u})
+    (one,) = dt.identify(log, modes=None, delay=(0.0, 40.0), model="sopdt").processes
+    assert one.gain.low < 0.8 < one.gain.high
+    slow, fast = one.time_constants
+    assert slow.value == pytest.approx(30.0, rel=0.03)
+    assert fast.value == pytest.approx(10.0, rel=0.15)
+    assert one.dead_time.value == pytest.approx(3.0, abs=0.8)
