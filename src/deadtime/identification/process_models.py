@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from deadtime.base.checks import python_control
+from deadtime.base.checks import brief, python_control
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
@@ -50,17 +50,18 @@ def order_of_model(model: object, order: Any, zeros: bool | None, C: object) -> 
     """The number of states of a process model, whose other arguments are checked."""
     if not isinstance(model, str) or model not in ORDERS:
         listed = '"fopdt", "sopdt" or "integrating" (--model fopdt|sopdt|integrating)'
-        raise ArgumentError(f"model must be {listed}, or None, got {model!r}.")
+        raise ArgumentError(f"model must be {listed}, or None, got {brief(model)}.")
     given = f"model={model!r}, --model {model}"
     if C is not None or zeros:
         name = "zeros" if C is None else "C"
         raise ArgumentError(f"{name} must be left out with {given}: its output is the state.")
-    if model == "integrating" and order in (1, 2) and not isinstance(order, bool):
-        return order
+    whole = isinstance(order, int | np.integer) and not isinstance(order, bool)
+    if model == "integrating" and whole and order in (1, 2):
+        return int(order)
     if order is not None:
         which = "1, or 2 for one with a lag, with" if model == "integrating" else "left out with"
         raise ArgumentError(
-            f"order must be {which} {given}, got {order!r}: other orders need no model."
+            f"order must be {which} {given}, got {brief(order)}: other orders need no model."
         )
     return ORDERS[model]
 
