@@ -6,18 +6,11 @@ r"""Gain, time constants and dead time: process models to ask for, and those of 
     p(s) = \det(s I - A) = s^n + p_1 s^{n-1} + \dots + p_n
 
 Coefficients of N and p are polynomials of the entries of A and b (Faddeev and LeVerrier), and about
-as normal as these. Gain N(0)/p(0) and time constants −1/λ are not: where the log hardly shows that
-A is not singular, their distributions have no variance. So every interval is the set of values that
-a test of a linear combination of coefficients does not reject at 95 %, with covariance V and
-Student's quantile q:
-
-- **gain** K, by N(0) − K p(0) = 0 (Fieller, J. Royal Statistical Society B 16(2), 1954): K between
-  the roots of (N₀ − K p₀)² = q² (V_NN − 2 K V_Np + K² V_pp). If p₀² ≤ q² V_pp, the log does not
-  exclude an integrator, and the set has no end on the side of stable plants;
-- **a real pole** λ, by p(λ) = 0: all λ with p(λ)² ≤ q² m(λ)ᵀ V m(λ), m = (λⁿ⁻¹, …, λ, 1). Two
-  poles that the log does not separate lie in one such interval; of a single pole it is λ ± q σ. The
-  time constant −1/λ falls as λ does, so its interval has the ends of λ's;
-- **an oscillation** s² + 2 ζ ω s + ω²: ω by its square, ζ by Fieller from 2 ζ ω and 2 ω.
+as normal as these; gain N(0)/p(0) and time constants −1/λ are not. So every interval is the set of
+values that a test of a linear combination of coefficients does not reject at 95 %, with their
+covariance V and Student's quantile q: N(0) − K p(0) = 0 for a gain K (Fieller, J. Royal Statistical
+Society B 16(2), 1954), p(λ) = 0 for a real pole, in one interval for poles that the log does not
+separate. Derivations: docs/theory/identification.md.
 
 An integrating process has a pole fixed at 0: N/(p/s) is a process without it, and its gain is the
 velocity gain, in output units per second and input unit.
