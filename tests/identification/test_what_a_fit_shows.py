@@ -48,10 +48,10 @@ def test_the_table_has_the_operating_point_with_its_interval_and_no_constant_ter
 
 
 def test_a_plant_of_one_state_and_input_is_told_as_a_first_order_process(fit):
-    (text,) = [one for one in fit.sentences if one.startswith("As a first-order process: gain ")]
-    values = [float(re.search(rf"{name} ([\d.]+)", text)[1]) for name in ("gain", "constant")]
+    (text,) = [one for one in fit.sentences if one.startswith("Gain ")]
+    values = [float(re.search(rf"{name} ([\d.]+)", text)[1]) for name in ("Gain", "constant")]
     assert values == pytest.approx([0.8, 2.0], rel=0.05)
-    assert text.endswith(f"dead time {fit.delays[0, 0]:.3g} s.")
+    assert f"dead time {fit.delays[0, 0]:.3f} s (" in text
     assert "Balance point near the log's mean input: level = " in fit.message
 
 

@@ -39,6 +39,7 @@ _OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
         "deadtime identify log.csv --one-mode --delay 0 0.5",
         "deadtime identify log.csv --modes 1..3 --switches samples    # modes not logged",
         "deadtime identify log.csv --order 2 --outputs position    # speed is not logged",
+        "deadtime identify log.csv --model fopdt --one-mode --delay 0 60    # a step test",
         "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
     ),
 )
@@ -55,6 +56,7 @@ def identify(
     outputs: list[str] | None = None,
     order: list[int] | None = None,
     zeros: Annotated[bool | None, Parameter(negative="--no-zeros")] = None,
+    model: Literal["fopdt", "sopdt", "integrating"] | None = None,
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     hold: Literal["held", "linear"] | None = None,
     beside: Path | None = None,
@@ -90,13 +92,17 @@ def identify(
     inputs
         Columns of the inputs, likewise, if not u1, u2, …
     outputs
-        With order: columns of the outputs, if not y1, y2, …
+        With order or model: columns of the outputs, if not y1, y2, …
     order
         Number of states per output where not all states are logged: 2 for a position without its
         speed.
     zeros
         With order: whether inputs act on all states of an output, not on the last derivative alone;
         by default if the log requires it.
+    model
+        Process model of one output, y1 or x1 or chosen by outputs: gain, time constants and dead
+        time; fopdt is of first order, sopdt of second, integrating has a velocity gain, and with
+        --order 2 a lag.
     rest
         Whether inputs before the log equal those of its first row; by default if the log begins at
         rest and its residuals do not contradict that.
@@ -114,7 +120,13 @@ def identify(
         The page to write, HTML: the sentences, all intervals, and figures of the fit.
     """
     from deadtime.identification import identify as identified
-    from deadtime.reports.identification_report import HEADINGS, interval_rows, sampling_of
+    from deadtime.reports.identification_report import (
+        HEADINGS,
+        PROCESS_HEADINGS,
+        interval_rows,
+        process_rows,
+        sampling_of,
+    )
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to identify a plant from.")
@@ -139,6 +151,7 @@ def identify(
             outputs=_columns(outputs, logs[0]),
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
+            model=model,
             rest=rest,
             hold=hold,
             progress=stage,
@@ -156,6 +169,11 @@ def identify(
     else:
         answer, *details = sentences
         print_answer(answer, f"A plant from {sampling_of(fit)}{_numbered(fit)}", "")
+        if fit.processes:
+            wide = process_rows(fit)  # intervals below estimates fit on a narrow terminal
+            rows = [(name, *(one.replace(" (", "\n(") for one in cells)) for name, *cells in wide]
+            print_table(PROCESS_HEADINGS, rows)
+            print()
         print_table(HEADINGS, interval_rows(fit))
         print()
         print_details(details)
@@ -273,6 +291,7 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "delays": fit.delays,
         "delay_interval": delay_ends,
         "delays_not_found": fit.delays_not_found,
+        "processes": fit.processes,
         "operating_point": rest,
         "disturbance": fit.disturbance,
         "noise": fit.noise,

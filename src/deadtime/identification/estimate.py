@@ -25,6 +25,7 @@ from deadtime.plant import SwitchedSystem
 from deadtime.switching.models.semi_markov import SemiMarkov
 
 EDGE = 1e-6  # of the range searched
+_WIDE = 0.25  # of the range searched: a longer interval hardly identifies a delay
 
 SURE = 0.95  # least probability of a mode that counts as sure
 
@@ -146,6 +147,18 @@ class Estimate(Peak):
         (low, high), D = self.searched, self.delays
         margin = EDGE * (high - low)
         return (high - margin < D) | ((low > 0.0) & (low + margin > D))
+
+    @property
+    def range_flags(
+        self,
+    ) -> tuple[Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"]]:
+        """Delays at the edge of the range, whose interval it cuts, and that the log leaves open."""
+        low, high = self.log.bounds
+        margin, D, (left, right) = EDGE * (high - low), self.delays, self.intervals.T
+        least = -np.inf if self.searched[0] == 0.0 else low  # no delay is less than 0
+        at_edge = (low + margin > D) | (high - margin < D)
+        vague = self.several | (right - left > _WIDE * (high - low))
+        return at_edge, (left <= least) | (right >= high), vague
 
     @cached_property
     def places(self) -> dict[str, int]:

@@ -7,6 +7,7 @@ likelihood, by linear propagation of errors.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import compress
 
 import numpy as np
@@ -18,6 +19,7 @@ from deadtime.identification.levels import Rest
 from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Squares
+from deadtime.identification.process_models import Process, processes_of
 from deadtime.identification.residuals import ResidualTests
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
@@ -117,6 +119,14 @@ class Findings(Frozen):
         """The plant with the covariance of all its entries and delays: to draw, and corners."""
         _, own = self._estimate.log.layout.without_constant()
         return UncertainPlant(self.plant, self._estimate.spread.covariance[np.ix_(own, own)])
+
+    @cached_property
+    def processes(self) -> tuple[Process, ...]:
+        """Gain, time constants and dead time of every stable mode, output and input: see `Process`.
+
+        Those whose delay the log does not tell are left out, as are plants of more than 4 states.
+        """
+        return processes_of(self._estimate, self._recording, self._C)
 
     @property
     def message(self) -> str:

@@ -41,6 +41,11 @@ from deadtime.identification.noisy_estimate import (
     may_be_exact,
 )
 from deadtime.identification.parameters import Layout
+from deadtime.identification.process_models import (
+    order_of_model,
+    process_sentences,
+    require_one_output,
+)
 from deadtime.identification.residuals import alternates
 
 if TYPE_CHECKING:
@@ -63,6 +68,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
+    model: str | None = None,
     rest: bool | None = None,
     hold: str | None = None,
     progress: Callable[[str], None] | None = None,
@@ -104,6 +110,11 @@ def identify(
     zeros : bool, optional
         With `order`: whether inputs act on all states of an output, which are then not derivatives,
         instead of the last derivative alone. By default, if the log shows it significantly.
+    model : "fopdt", "sopdt" or "integrating", optional
+        A process model of one output, in column y1 or x1 or chosen by `outputs`, with a gain and a
+        dead time for each input: of first order (as order=1), of second order without zeros (as
+        order=2, zeros=False), or an integrator with a velocity gain, with order=2 behind a lag.
+        Other settings give the same results in `Identification.processes`.
     rest : bool, optional
         Whether inputs before the log equal those of its first row. By default, if inputs and states
         are constant at first and the residuals do not contradict it.
@@ -151,9 +162,12 @@ def identify(
     progress = reporter("progress", progress)
     noise, zeros, rest = choice("noise", noise), choice("zeros", zeros), choice("rest", rest)
     low, high = range_of_delays(delay)
+    if model is not None:
+        order, zeros = order_of_model(model, order, zeros, C), False
     numbers = numbers_of(modes)
     column = modes if isinstance(modes, str) else None
     letter = "x" if C is None and order is None and outputs is None else "y"
+    letter = letter if model is None else "yx"
     progress("reading the log")
     recording = read_recording(
         log,
@@ -166,11 +180,13 @@ def identify(
     recording = recording._replace(hold=degree or 0)
     require_seconds(recording, high)
     require_causal(recording, (low, high), noise)
+    require_one_output(model, recording.outputs)
     if order is None:
         require_order_for(zeros, outputs, C)
     else:
         require_logged(C, noise, numbers is not None)
-        if set(order_of(order, recording.outputs)) == {1}:  # then outputs are the states
+        ones = set(order_of(order, recording.outputs)) == {1}
+        if ones and model != "integrating":  # then outputs are the states
             order = None
     within = switches == "anywhere"
 
@@ -181,7 +197,7 @@ def identify(
         bounds = max(low, _SHORTEST * recording.step), high
         about = recording.about(level_of(recording))
         if order is not None:
-            of = about, order, zeros, per_mode, bounds, within, progress
+            of = about, order, zeros, per_mode, bounds, within, progress, model
             return finished(identify_outputs(*of))
         sensors = sensors_of(C, recording)
         exact_states, n = as_states(about, sensors), sensors.shape[1]
@@ -205,8 +221,8 @@ def identify(
             noisy_estimate = estimate_in_loop if loop else estimate_with_noise
             noisy = noisy_estimate(about, sensors, estimate)
             estimate = noisy if sure or not may_be_exact(estimate, noisy) else estimate
-        model, why = fit_switching(recording)
-        given = estimate, estimate.log.recording, model, why, sensors, named
+        switching = fit_switching(recording)
+        given = estimate, estimate.log.recording, *switching, sensors, named
         fit = finished(IdentifiedLog(*given))
         if fit.delays_not_found:
             return replace(fit, sentences=(*fit.sentences, *sentences))
@@ -216,7 +232,10 @@ def identify(
     if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
         fit = from_recording(resting(recording, False))
-    return fit
+    if model is None:
+        return fit
+    first = process_sentences(fit.processes, fit._recording, len(fit.C))
+    return replace(fit, sentences=tuple(dict.fromkeys((*first, *fit.sentences))))
 
 
 def require_switches(switches: object) -> None:

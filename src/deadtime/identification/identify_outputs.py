@@ -47,6 +47,7 @@ class OutputsRequest(NamedTuple):
     """A recording with the states and the range of delays to identify.
 
     zeros : None to include them if significant; progress : called at every stage
+    model : the name of a process model, if one was asked for
     """
 
     recording: Recording
@@ -56,6 +57,7 @@ class OutputsRequest(NamedTuple):
     bounds: Window
     within: bool
     progress: Callable[[str], None]
+    model: str | None = None
 
 
 class OutputsModel(NamedTuple):
@@ -105,9 +107,14 @@ class OutputsModel(NamedTuple):
 def choose_model(request: OutputsRequest, lead: tuple[int, ...] | None = None) -> OutputsModel:
     """The likeliest plant; `lead`: see `Embedding`."""
     expect_many_calls()
-    recording, layout, order, zeros, bounds, within, progress = request
+    recording, layout, order, zeros, bounds, within, progress, model = request
     guess = guess_of(recording.gridded(), layout, order, bounds, within)
-    shape = Embedding(order, zeros is True, guess.size, lead)
+    integrates = model == "integrating"
+    shape = Embedding(order, zeros is True, guess.size, lead, integrates=integrates)
+    if integrates:
+        theta = guess.theta.copy()
+        theta[layout.of_A[:, shape.last, shape.first]] = 0.0
+        guess = guess._replace(theta=theta)
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = recording.stretches(_FEW, recording.lag(bounds[1]))
     log = NoisyLog(some, layout, within, bounds, nodes, shape.C, shape)
@@ -117,7 +124,7 @@ def choose_model(request: OutputsRequest, lead: tuple[int, ...] | None = None) -
     if not shape.upper.size:
         return simple
     chosen = simple
-    if layout.modes > 1 and not within:
+    if layout.modes > 1 and not within and not integrates:
         progress("trying states that are an output's derivatives in one mode alone")
         free = replace(log, embedding=replace(shape, jumps=True))
         wider = _model_of(free, (), (simple.best.theta,))
@@ -209,6 +216,7 @@ def order_too_high(request: OutputsRequest, chosen: OutputsModel) -> list[str]:
         return []
     bic, own = min(fewer)
     say = f"say order={_text(own)}, --order {' '.join(map(str, own))}"
+    say = 'say model="fopdt", --model fopdt' if request.model == "sopdt" else say
     return [
         f"An order of {_text(own)} explains the log better (BIC {bic:.1f}, against "
         f"{chosen.bic:.1f} with {_text(order)}): {say}."
@@ -230,13 +238,14 @@ def identify_outputs(
     bounds: Window,
     within: bool,
     progress: Callable[[str], None],
+    model: str | None = None,
 ) -> IdentifiedLog:
     """The likeliest plant with given numbers of states of each output."""
     counts = order_of(order, recording.outputs)
     _require_moving(recording)
     constant = recording.level is not None
     layout = Layout(len(recording.modes), sum(counts), len(recording.inputs), per_mode, constant)
-    request = OutputsRequest(recording, layout, counts, zeros, bounds, within, progress)
+    request = OutputsRequest(recording, layout, counts, zeros, bounds, within, progress, model)
     estimate, chosen = estimate_from_outputs(request)
     shape = chosen.shape
     names = state_names(recording.outputs, counts, shape.zeros or shape.jumps)

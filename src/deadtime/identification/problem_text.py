@@ -46,6 +46,8 @@ def problem_text(fit: Findings, title: str = "", horizon: float | None = None) -
     numbers = tuple(map(str, range(plant.modes)))  # the names that a file gives modes by default
     named = _text(title or f"Identified from {fit.samples} samples")
     lines = [f"# {one_line(sentence)}" for sentence in fit.sentences]
+    if len(fit.C) > 1:  # of one output the sentences say it
+        lines += [f"# {one.label(plant.modes)}: {one}." for one in fit.processes]
     lines += ["", f"title = {named}", "", "[plant]", *_delay_lines(fit)]
     for name, matrices in (("A", plant.A), ("B", plant.B)):
         lines += [f"{name} = [", *(f"  {_lists(one)}," for one in matrices), "]"]

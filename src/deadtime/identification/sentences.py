@@ -10,7 +10,7 @@ from itertools import compress, product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from deadtime.base.wording import amount, number_of
 from deadtime.identification.estimate import EDGE, Estimate
@@ -18,6 +18,7 @@ from deadtime.identification.identifiability import counts_milliseconds, reasons
 from deadtime.identification.levels import Rest
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix
+from deadtime.identification.process_models import process_sentences, processes_of
 from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 
 _SINGULAR = 1e8  # condition number of A beyond which a mode, as an integrator, has no unique rest
-_WIDE = 0.25  # of the range searched: a longer interval hardly identifies a delay
 _DERIVATIVES = ("", "", " with its derivative", " with its first {} derivatives")
 _OFTEN = 0.03  # share of rows at which a run of repeated values begins
 _OWN = 0.9  # share of distinct values among those not repeated: rounded values have fewer
@@ -49,7 +49,8 @@ def sentences_of(
     why : there is no switching model
     """
     repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
-    sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
+    sentences = _delays(estimate, recording)
+    sentences += process_sentences(processes_of(estimate, recording, C), recording, len(C))
     sentences += _levels(estimate, recording, rest, states)
     sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
     sentences += _period(estimate, recording)
@@ -76,7 +77,7 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
     missed = estimate.missed
     for name, D in compress(zip(names, values, strict=True), missed):
         sentences.append(_not_found(name, float(D), recording, (low, high)))
-    each = zip(names, values, estimate.intervals, *_range_flags(estimate, recording), strict=True)
+    each = zip(names, values, estimate.intervals, *estimate.range_flags, strict=True)
     for place, (name, D, (left, right), at_edge, cut, vague) in enumerate(each):
         if missed[place]:
             if vague or counts_milliseconds(recording):
@@ -122,24 +123,12 @@ def _not_found(name: str, D: float, recording: Recording, searched: tuple[float,
     )
 
 
-def _range_flags(
-    estimate: Estimate, recording: Recording
-) -> tuple[Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"], Bool[np.ndarray, " delay"]]:
-    """Which delays lie at the edge of the range, whose intervals it cuts, which it leaves open."""
-    low, high = estimate.log.bounds
-    margin, D, (left, right) = EDGE * (high - low), estimate.delays, estimate.intervals.T
-    least = -np.inf if estimate.searched[0] == 0.0 else low  # no delay is less than 0
-    at_edge = (low + margin > D) | (high - margin < D)
-    vague = estimate.several | (right - left > _WIDE * (high - low))
-    return at_edge, (left <= least) | (right >= high), vague
-
-
 def _doubts(estimate: Estimate, recording: Recording) -> list[str]:
     """Reasons why intervals may not contain the delays, as ends of a sentence."""
     names, tests = delay_names(recording, estimate), estimate.tests
     names = [f"{name[0].lower()}{name[1:]}" for name in names] if len(names) == 1 else names
     doubts = []
-    each = zip(names, *_range_flags(estimate, recording), strict=True)
+    each = zip(names, *estimate.range_flags, strict=True)
     for name, at_edge, cut, vague in each:
         if at_edge:
             doubts.append(f"{name} lies at the edge of the range searched")
@@ -169,30 +158,6 @@ def delay_names(recording: Recording, estimate: Estimate) -> list[str]:
     if not layout.per_mode:
         return inputs
     return [f"{name} in mode {mode}" for mode in recording.modes for name in inputs]
-
-
-def _first_order(estimate: Estimate, recording: Recording) -> list[str]:
-    """K, τ and θ of K e^(−θ s)/(τ s + 1) in each stable mode of a plant of one state and input."""
-    plant, layout = estimate.plant, estimate.log.layout
-    if plant.states > 1 or plant.inputs > 1 or estimate.missed.any():
-        return []
-    _, cut, vague = _range_flags(estimate, recording)
-    unclear = layout.spread(cut | vague)[:, 0]
-    sentences = []
-    for i, mode in enumerate(recording.modes):
-        a, b, D = (float(one[i].item()) for one in (plant.A, plant.B, plant.delays))
-        where = f" in mode {mode}" if plant.modes > 1 else ""
-        of_a, of_b = (np.array(estimate.interval(f"{one}[{i}][0,0]")) for one in "AB")
-        if of_a.prod() <= 0.0:
-            sentences.append(
-                f"Gain and time constant{where} are not told apart from an integrator: A may be 0."
-            )
-        elif a < 0.0 < of_b.prod() and not unclear[i]:
-            sentences.append(
-                f"As a first-order process{where}: gain {-b / a:.3g}, time constant "
-                f"{-1.0 / a:.3g} s, dead time {D:.3g} s."
-            )
-    return sentences
 
 
 def _levels(
@@ -334,7 +299,7 @@ def _outliers(estimate: Estimate, recording: Recording, C: SensorMatrix) -> list
 def _states(estimate: Estimate, recording: Recording) -> list[str]:
     """Sentences on the states of outputs alone."""
     shape = estimate.of_outputs and estimate.of_outputs.embedding
-    if shape is None:
+    if shape is None or not shape.upper.size:
         return []
     each = zip(recording.outputs, shape.order, strict=True)
     named = [f"{name}{_DERIVATIVES[min(count, 3)].format(count - 1)}" for name, count in each]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADINGS = ("parameter", "estimate", "lower 95 %", "upper 95 %")
+PROCESS_HEADINGS = ("process", "gain", "time constants", "dead time")
 _NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # an estimate of noise below this share of its upper bound is undetermined
 
@@ -67,6 +68,11 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
+
+
+def process_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
+    """Gain, time constants and dead time of every process, with 95 % intervals."""
+    return [(one.label(fit.plant.modes), *one.cells) for one in fit.processes]
 
 
 def sampling_of(fit: Identification) -> str:
@@ -135,6 +141,8 @@ def identification_page(
         sentences=sentences or fit.sentences,
         first=pictures[0],
         figures=pictures[1:],
+        process_headings=PROCESS_HEADINGS,
+        processes=process_rows(fit),
         headings=HEADINGS,
         rows=interval_rows(fit),
         command=command,

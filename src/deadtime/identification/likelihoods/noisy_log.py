@@ -70,6 +70,7 @@ class Embedding(Frozen):
     lead : the order that determines how many first measurements are left out, so that likelihoods
         of several orders use the same ones; by default `order`
     jumps : whether the states are chains in the first mode alone
+    integrates : whether a pole of every chain is fixed at 0
     """
 
     order: tuple[int, ...]
@@ -77,6 +78,7 @@ class Embedding(Frozen):
     size: Float[np.ndarray, " n"]
     lead: tuple[int, ...] | None = None
     jumps: bool = False
+    integrates: bool = False
 
     @property
     def last(self) -> Int[np.ndarray, " p"]:
@@ -86,7 +88,12 @@ class Embedding(Frozen):
     @property
     def C(self) -> SensorMatrix:
         """The outputs: the first state of every chain."""
-        return np.eye(sum(self.order))[self.last - np.array(self.order) + 1]
+        return np.eye(sum(self.order))[self.first]
+
+    @property
+    def first(self) -> Int[np.ndarray, " p"]:
+        """The first state of every chain, an output."""
+        return self.last - np.array(self.order) + 1
 
     @property
     def upper(self) -> Int[np.ndarray, " row"]:
@@ -108,9 +115,12 @@ class Embedding(Frozen):
         chained = 1 if self.jumps else layout.modes
         at_A = layout.of_A[:chained, upper].reshape(-1)
         values = np.tile(self.shift()[upper], (chained, 1, 1)).reshape(-1)
+        if self.integrates:  # the last derivative does not depend on the output
+            at_pole = layout.of_A[:, self.last, self.first].reshape(-1)
+            at_A, values = np.append(at_A, at_pole), np.append(values, np.zeros(at_pole.size))
         at_B = layout.of_constant[:chained, upper].reshape(-1)  # it would only shift a state
         if not self.zeros:
-            first = np.intersect1d(upper, self.last - np.array(self.order) + 1)
+            first = np.intersect1d(upper, self.first)
             at_B = layout.of_B[:chained, upper].reshape(-1)
             at_B = np.append(at_B, layout.of_B[chained:, first, : layout.m].reshape(-1))
         i, j = np.tril_indices(n)

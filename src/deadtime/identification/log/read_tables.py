@@ -87,10 +87,13 @@ def read_table(source: Path, rows: int | None = None) -> pd.DataFrame:
 def chosen_columns(
     table: LogTable, letter: str, given: Sequence[str] | None, argument: str
 ) -> tuple[str, ...]:
-    """The columns of states or inputs, by default those named by a letter and a number."""
+    """The columns of states or inputs, by default those named by a letter and a number.
+
+    letter : several in order of preference
+    """
     columns = list(table.frame.columns)
     if given is None:
-        chosen = columns_of(columns, letter)
+        chosen = next(filter(None, (columns_of(columns, one) for one in letter)), [])
     elif isinstance(given, str):
         raise ArgumentError(
             f"{argument} must be a list of columns, such as {given.split(',')}, got the text "
@@ -100,8 +103,8 @@ def chosen_columns(
         chosen = [str(name) for name in given]
     if not chosen:
         raise ArgumentError(
-            f"{table.name} must have columns {letter}1, {letter}2, …, got {brief(columns)}: name "
-            f"them so, or say which they are by {argument}=[…], --{argument}."
+            f"{table.name} must have columns {letter[0]}1, {letter[0]}2, …, got {brief(columns)}: "
+            f"name them so, or say which they are by {argument}=[…], --{argument}."
         )
     return tuple(chosen)
 
