@@ -19,6 +19,7 @@ from deadtime.identification.likelihoods.noisy_log import largest_of
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.residuals import ResidualTests
+from deadtime.identification.validation import Validation
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
@@ -47,6 +48,8 @@ class Findings(Frozen):
     _C: SensorMatrix = field(repr=False)
     hidden: HiddenModes | None = None
     doubts: tuple[str, ...] = ()
+    validation: Validation | None = None
+    worse_than_constant: bool = False
     _rest: Rest | None = field(default=None, repr=False)
 
     @property

@@ -41,6 +41,7 @@ from deadtime.identification.noisy_estimate import (
 )
 from deadtime.identification.parameters import Layout
 from deadtime.identification.residuals import alternates
+from deadtime.identification.validation import NOT_LOGGED, log_to_compare
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +64,7 @@ def identify(
     order: int | Sequence[int] | None = None,
     zeros: bool | None = None,
     rest: bool | None = None,
+    test: str | PathLike[str] | float | pd.DataFrame | Sequence | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
     r"""The maximum-likelihood plant of a log: matrices, delays and noise, with intervals.
@@ -105,6 +107,9 @@ def identify(
     rest : bool, optional
         Whether inputs before the log equal those of its first row. By default, if inputs and states
         are constant at first and the residuals do not contradict it.
+    test : "half", float, path, DataFrame, or list of them, optional
+        Another log to validate the plant with, or the share of the log to hold out for that, of
+        every log its last rows; "half" is 0.5. The plant is identified from the rest.
     progress : callable, optional
         Called with a few words at every stage.
 
@@ -156,6 +161,9 @@ def identify(
         lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
     )
     require_seconds(recording, high)
+    if test is not None and numbers is not None:
+        raise ArgumentError(NOT_LOGGED)
+    recording, compared = log_to_compare(test, recording, high + recording.step, rest)
     if order is None:
         require_order_for(zeros, outputs, C)
     else:
@@ -203,7 +211,8 @@ def identify(
     if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
         fit = from_recording(resting(recording, False))
-    return fit
+    progress("comparing predictions with the log")
+    return fit.validated(compared)
 
 
 def require_switches(switches: object) -> None:

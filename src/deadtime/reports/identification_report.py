@@ -12,12 +12,14 @@ from deadtime.base.files import replacing
 from deadtime.feedback import Law
 from deadtime.identification import Identification
 from deadtime.identification.identification_figure import figures_of
+from deadtime.identification.validation import Validation
 from deadtime.reports.report_folder import inlined, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADINGS = ("parameter", "estimate", "lower 95 %", "upper 95 %")
+VALIDATION_HEADINGS = ("fit, %", "free run", "a row ahead", "last value", "a constant")
 _NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # an estimate of noise below this share of its upper bound is undetermined
 
@@ -67,6 +69,15 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
         else:
             rows.append((name, *(f"{one:.5g}" for one in (value, low, high))))
     return rows
+
+
+def validation_rows(validation: Validation) -> list[tuple[str, ...]]:
+    """The fits in percent of every output, under `VALIDATION_HEADINGS`."""
+    figures = validation.free_run, validation.one_step, validation.last_value
+    return [
+        (name, *(f"{one:.1f}" if np.isfinite(one) else "" for one in each), "0")
+        for name, *each in zip(validation.outputs, *figures, strict=True)
+    ]
 
 
 def sampling_of(fit: Identification) -> str:
@@ -137,5 +148,7 @@ def identification_page(
         figures=pictures[1:],
         headings=HEADINGS,
         rows=interval_rows(fit),
+        validation_headings=VALIDATION_HEADINGS,
+        validation=[] if fit.validation is None else validation_rows(fit.validation),
         command=command,
     )
