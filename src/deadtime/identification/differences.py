@@ -4,11 +4,12 @@ Errors a row ahead are linear in B and in constant terms. With the delays D + δ
 
     e(δ, γ, c) = e(δ) + Σ_j γ_j ∂e/∂γ_j + Σ_a c_a ∂e/∂c_a,    B_j → (1 + γ_j) B_j,
 
-so that γ and c are a linear regression and δ is searched on a grid. With S the covariance of what
-each of the eight subsets of (gain, delay, level) leaves of N rows, 2 log L rises by N log det S₀/S.
-The subset is chosen whose rise exceeds its χ² quantile by most; it is empty where none does. Errors
-that are not white have fewer degrees of freedom: the rise is divided by 1 + 2 Σ |r| of their
-correlations.
+so that γ and c are a linear regression and δ is searched on a grid. The plant itself is known with
+a covariance Σ only: e has the further regressors ∂e/∂θ L w, Σ = L Lᵀ, with w normal of variance 1,
+which adds |w|² to the sum of squares. Of N whitened errors with a sum of squares q, 2 log L is
+−N log q. Of the eight subsets of (gain, delay, level) the one is chosen whose rise exceeds its χ²
+quantile by most; it is empty where none does. Errors that are not white have fewer degrees of
+freedom: the rise is divided by 1 + 2 Σ |r| of their correlations.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ def difference_of(predictor: Predictor, inflation: float, logs: int = 1) -> Diff
     ends = min(0.0, max(low, _SHORTEST * h) - float(D.min())), max(0.0, high - float(D.max()))
     near = np.clip(_NEAR * h, *ends)
     shifts = np.unique(np.concatenate((np.linspace(*ends, _GRID), near, [0.0])))
-    regressions = _Regressions.of(own, shifts)
+    regressions = _Regressions.of(predictor, own, shifts)
     if regressions is None:
         return None
     m, acting = own.log.layout.m, own.log.acting
@@ -140,10 +141,12 @@ class _Regressions:
         size = np.nanstd(np.vstack([part.output for part in own.parts]), axis=0)
         floor = (_ROUND_OFF * size) ** 2 if own.exact else np.zeros(size.size)
         self.floor = np.diag(np.maximum(floor, np.finfo(float).tiny))
-        self.root = np.eye(size.size)
+        self.root, self.by_plant = np.eye(size.size), np.zeros((0, 0))
 
     @classmethod
-    def of(cls, own: Predictor, shifts: Float[np.ndarray, " shift"]) -> _Regressions | None:
+    def of(
+        cls, plain: Predictor, own: Predictor, shifts: Float[np.ndarray, " shift"]
+    ) -> _Regressions | None:
         """The regressions, or None if rows are too few."""
         D, p = own.model.plant.delays, len(own.log.C)
         result = cls(own, (float(D.min() + shifts[0]), float(D.max() + shifts[-1])))
@@ -153,6 +156,8 @@ class _Regressions:
             return None
         e = result.rows(0.0)[0][result.good]
         result.root = np.linalg.cholesky(e.T @ e / len(e) + result.floor)
+        by = np.linalg.solve(result.root, plain.error_of_plant(result.window)[result.good])
+        result.by_plant = by.reshape(e.size, -1)
         return result
 
     def rows(self, shift: float) -> tuple[np.ndarray, np.ndarray]:
@@ -184,15 +189,18 @@ class _Regressions:
         e, by = (one[self.good] for one in self.rows(shift))
         m = self.own.log.layout.m
         chosen = np.r_[np.arange(m * gain), np.arange(m, by.shape[2] if level else m)]
-        z, X = np.linalg.solve(self.root, e.T).T, np.linalg.solve(self.root, by[..., chosen])
-        beta, floor = np.zeros(chosen.size), np.linalg.solve(self.root, self.floor)
-        if beta.size:
-            flat = X.reshape(-1, beta.size)
-            unit = np.maximum(np.linalg.norm(flat, axis=0), np.finfo(float).tiny)
-            beta = -np.linalg.lstsq(flat / unit, z.ravel(), rcond=1e-9)[0] / unit
-        rest = z + X @ beta
-        S = rest.T @ rest / len(z) + np.linalg.solve(self.root, floor.T)
-        return len(z) * float(np.linalg.slogdet(S)[1]), beta
+        z = np.linalg.solve(self.root, e.T).T.ravel()
+        X = np.linalg.solve(self.root, by[..., chosen]).reshape(z.size, -1)
+        unit = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+        unknown = self.by_plant.shape[1]
+        below = np.hstack((np.zeros((unknown, chosen.size)), np.eye(unknown)))
+        both = np.vstack((np.hstack((X / unit, self.by_plant)), below))
+        given = np.concatenate((z, np.zeros(unknown)))
+        beta = -np.linalg.lstsq(both, given, rcond=1e-9)[0]
+        left = given + both @ beta
+        floor = np.trace(np.linalg.solve(self.root, np.linalg.solve(self.root, self.floor).T))
+        square = float(left @ left) + len(e) * float(floor)
+        return z.size * float(np.log(square)), beta[: chosen.size] / unit
 
 
 def inflation_of(white: list[Float[np.ndarray, "sample p"]]) -> float:

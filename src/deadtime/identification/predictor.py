@@ -29,11 +29,20 @@ from deadtime.identification.levels import with_constant
 from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Level, Part, Recording
 from deadtime.identification.noisy_estimate import noisy_residuals
-from deadtime.identification.parameters import SensorMatrix, Squares, Vector, Window
+from deadtime.identification.parameters import (
+    FisherMatrix,
+    SensorMatrix,
+    Squares,
+    Vector,
+    Window,
+)
 from deadtime.identification.residuals import FittedModel
 from deadtime.identification.sampling import known_ends, nodes_for
 from deadtime.identification.transition import interpolation, noise_tables, plain_transitions
 
+_KNOWN = 1e-9  # eigenvalue of the unknowns' correlation: combinations that are known
+_SHORTEST = 1e-6  # of a period: the shortest delay
+_SMALL = 0.1  # of an error: step of differences
 _FIRST = 10  # rows per state, at least, that determine the first state of a free run
 _SHARE = 0.1  # of the rows of a run, likewise
 _SETTLED = 200  # periods after which the filter's covariance is constant
@@ -58,11 +67,13 @@ class Predictor(Frozen):
     """An identified plant and a recording, about the level of the plant's constant terms.
 
     log : the recording with the structure of the plant; vector : its unknowns
+    covariance : of the unknowns of the plant
     W, deviation : intensities of the noise, and standard deviations of the sensors, 0 if exact
     """
 
     log: NoisyLog
     vector: Vector
+    covariance: FisherMatrix
     W: Squares
     deviation: Float[np.ndarray, " p"]
 
@@ -74,7 +85,9 @@ class Predictor(Frozen):
         about = about if level is None else about.about(level)
         nodes = nodes_for(about.parts, estimate.plant.A)
         log = NoisyLog(about, own.layout, own.within, own.bounds, nodes, C, shape)
-        return cls(log, estimate.best.theta, estimate.disturbance, estimate.noise)
+        size = own.layout.size
+        covariance = estimate.spread.covariance[:size, :size]
+        return cls(log, estimate.best.theta, covariance, estimate.disturbance, estimate.noise)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -108,6 +121,21 @@ class Predictor(Frozen):
         other = replace(self, vector=vector).model
         roots = np.tile(np.eye(other.plant.states), (other.plant.modes, 1, 1))
         return np.vstack(other.residuals(self.log.recording, self.log.within, roots))
+
+    def error_of_plant(self, window: Window) -> Float[np.ndarray, "sample p unknown"]:
+        """Errors a row ahead by those of the plant's unknowns: ∂e/∂θ L, Σ = L Lᵀ."""
+        size = np.sqrt(np.diagonal(self.covariance))
+        unit = np.where(size > 0.0, size, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / unit / unit[:, None])
+        ways = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        e, by = self.errors(self.vector, window), []
+        at, shortest = self.log.layout.at_delays, _SHORTEST * self.log.recording.step
+        for way in ways.T[values > _KNOWN]:
+            moved = self.vector.copy()
+            moved[: way.size] += _SMALL * way
+            moved[at] = np.maximum(moved[at], shortest)
+            by.append((self.errors(moved, window) - e) / _SMALL)
+        return np.stack(by, axis=-1)
 
     def ahead(self, number: int) -> Float[np.ndarray, "sample n"]:
         """The states of a part, each from all rows before; NaN where these do not determine it."""

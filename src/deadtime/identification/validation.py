@@ -38,6 +38,7 @@ NOT_LOGGED = (
 _DELAYS = 3.0  # longest delays that predictions of several rows reach
 _FEW = 20_000  # rows of the identified log that run freely
 _COMPARED = 4_000  # rows in which differences are looked for
+_UNITS = 0.2  # relative difference of a gain that may be one of units
 _LARGER = 2.0  # ratio of variances from which errors count as larger
 
 
@@ -133,7 +134,8 @@ def fit_percent(
     y, off = np.where(both, measured, 0.0), np.where(both, measured - predicted, 0.0)
     mean = y.sum(axis=0) / np.maximum(both.sum(axis=0), 1)
     spread = np.linalg.norm(np.where(both, measured - mean, 0.0), axis=0)
-    size = np.linalg.norm(off, axis=0)
+    with np.errstate(over="ignore"):  # an unstable plant's free run
+        size = np.linalg.norm(off, axis=0)
     ratio = np.divide(size, spread, out=np.full(size.size, np.nan), where=spread > 0.0)
     return 100.0 * (1.0 - ratio)
 
@@ -201,7 +203,8 @@ def validate(
     else:
         samples = predicted.rows
         judged, worse, answer = predicted.answer(compared.name)
-        sentences = [answer, *_details(predicted, estimate, C, recording, compared)]
+        sentences = [answer, *_a_row_ahead(predicted)] if judged else [answer]
+        sentences = [*sentences, *_details(predicted, estimate, C, recording, compared)]
     free, one_step, last, several = figures
     return Validation(
         outputs=compared.recording.outputs,
@@ -276,7 +279,7 @@ class _Predicted(NamedTuple):
 
     def answer(self, name: str) -> tuple[bool, bool, str]:
         """Whether the free run is judged, whether the model is worse than a constant; in words."""
-        free, one_step, _, several = self.figures
+        free, one_step, last, several = self.figures
         names = self.predictor.log.recording.outputs
         if not (free < 0.0).any():
             text = f"On the {name} the free run of the model fits {_percents(free, names)}, where "
@@ -298,7 +301,8 @@ class _Predicted(NamedTuple):
             False,
             False,
             f"The free run on the {name} is not judged, for {why}: {self.horizon:.3g} s ahead the "
-            f"fit is {_percents(several, names)}, and a row ahead {_percents(one_step, names)}.",
+            f"fit is {_percents(several, names)}, and a row ahead {_percents(one_step, names)}, "
+            f"where the last value alone gives {_percents(last, names)}.",
         )
 
     def _excuse(self) -> str:
@@ -320,6 +324,14 @@ class _Predicted(NamedTuple):
         return tuple(map(Course, (part.time for part in parts), *curves))
 
 
+def _a_row_ahead(predicted: _Predicted) -> list[str]:
+    (_, one_step, last, _), names = predicted.figures, predicted.predictor.log.recording.outputs
+    return [
+        f"A row ahead the fit is {_percents(one_step, names)}, where the last value alone gives "
+        f"{_percents(last, names)}."
+    ]
+
+
 def _details(
     predicted: _Predicted,
     estimate: Estimate,
@@ -329,11 +341,7 @@ def _details(
 ) -> list[str]:
     """Sentences after the answer: figures a row ahead, differences, and limits of the test."""
     other, name, predictor = compared.recording, compared.name, predicted.predictor
-    names, (_, one_step, last, _) = other.outputs, predicted.figures
-    sentences = [
-        f"A row ahead the fit is {_percents(one_step, names)}, where the last value alone gives "
-        f"{_percents(last, names)}."
-    ]
+    names, sentences = other.outputs, []
     few = other.stretches(_COMPARED, other.lag(estimate.searched[1]))
     inflation = inflation_of(list(estimate.white))
     difference = difference_of(Predictor.of(estimate, C, few), inflation)
@@ -342,7 +350,8 @@ def _details(
         own = difference.applied(predictor)
         runs = [own.free_run(i) for i in range(len(own.parts))]
         fits = fit_percent(_outputs(own), _free_outputs(own, runs))
-        units = "" if difference.gain is None else " Compare the units of its columns."
+        far = difference.gain is not None and (np.abs(difference.gain - 1.0) > _UNITS).any()
+        units = " Compare the units of its columns." if far else ""
         sentences.append(
             f"The {name} differs from the model: {words} (likelihood ratio, level {CHANCE:g}); the "
             f"free run would fit {_percents(fits, names)} with that.{units}"

@@ -259,7 +259,7 @@ def read_recording(
         absent=absent_modes(tables, column, labels),
         constants=constants,
         columns=LogColumns(column, names, acting),
-        logs=tuple(table.name for table in tables),
+        logs=tuple(f"{t.name}[0]" if t.name == "log" and tables[1:] else t.name for t in tables),
     )
 
 
