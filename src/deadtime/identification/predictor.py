@@ -30,7 +30,6 @@ from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Level, Part, Recording
 from deadtime.identification.noisy_estimate import noisy_residuals
 from deadtime.identification.parameters import (
-    FisherMatrix,
     SensorMatrix,
     Squares,
     Vector,
@@ -73,7 +72,7 @@ class Predictor(Frozen):
 
     log: NoisyLog
     vector: Vector
-    covariance: FisherMatrix
+    covariance: Float[np.ndarray, "unknown unknown"]
     W: Squares
     deviation: Float[np.ndarray, " p"]
 
