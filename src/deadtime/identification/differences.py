@@ -7,9 +7,9 @@ Errors a row ahead are linear in B and in constant terms. With the delays D + δ
 so that γ and c are a linear regression and δ is searched on a grid. The plant itself is known with
 a covariance Σ only: e has the further regressors ∂e/∂θ L w, Σ = L Lᵀ, with w normal of variance 1,
 which adds |w|² to the sum of squares. Of N whitened errors with a sum of squares q, 2 log L is
-−N log q. Of the eight subsets of (gain, delay, level) the one is chosen whose rise exceeds its χ²
-quantile by most; it is empty where none does. Errors that are not white have fewer degrees of
-freedom: the rise is divided by 1 + 2 Σ |r| of their correlations.
+−N log q. Of the eight subsets of (gain, delay, level) the one is chosen whose rise is largest, less
+the χ² quantile of one degree of freedom for each of its unknowns. Errors that are not white have
+fewer degrees of freedom: the rise is divided by 1 + 2 Σ |r| of their correlations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CHANCE = 1e-3  # significance level of a difference, and of larger errors
 _FEW = 4_000  # rows of a log that are compared
 _GRID = 17  # delays over the range searched
 _NEAR = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0])  # periods from the delay, which are tried, too
-_FINE = 9  # delays between the neighbours of the best one
+_FINE = 1e-2  # of a period: accuracy of the delay that is found
 _SUBSETS = 7
 _LEAST = 3  # rows per unknown
 _SHORTEST = 1e-6  # of a period: the shortest delay
@@ -47,13 +47,13 @@ class Difference(NamedTuple):
     """What differs in a log; None where it does not.
 
     gain : (m,), factors of B; delay : added to all, seconds; level : (n,), added to dx/dt
-    rise : of 2 log L, beyond the threshold of its χ² quantile
+    share : of the sum of squared errors that it explains
     """
 
     gain: Float[np.ndarray, " m"] | None
     delay: float | None
     level: Float[np.ndarray, " n"] | None
-    rise: float
+    share: float
 
     def applied(self, predictor: Predictor) -> Predictor:
         """The predictor with this difference in its plant."""
@@ -105,26 +105,24 @@ def difference_of(predictor: Predictor, inflation: float, logs: int = 1) -> Diff
     if regressions is None:
         return None
     m, acting = own.log.layout.m, own.log.acting
+    each = float(chi2.isf(CHANCE / (_SUBSETS * logs), 1))
     base, best, chosen = regressions.least((0.0,), False, False)[0], 0.0, None
     for gain, shifted, level in product((False, True), repeat=3):
         free = m * gain + shifted + acting.size * level
         value, shift, beta = regressions.least(shifts if shifted else (0.0,), gain, level)
-        rise = (base - value) / inflation - float(
-            chi2.isf(CHANCE / (_SUBSETS * logs), max(free, 1))
-        )
+        if shifted:
+            value, shift, beta = regressions.least_near(shift, shifts, gain, level)
+        rise = (base - value) / inflation - free * each
         if not free or rise <= best:
             continue
-        if shifted:
-            at = int(np.flatnonzero(shifts == shift)[0])
-            around = np.linspace(
-                shifts[max(at - 1, 0)], shifts[min(at + 1, len(shifts) - 1)], _FINE
-            )
-            _, shift, beta = regressions.least(around, gain, level)
         c = np.zeros(own.log.layout.n)
         c[acting] = beta[m * gain :] if level else 0.0
         factors, best = 1.0 + beta[: m * gain], rise
         chosen = Difference(
-            factors if gain else None, shift if shifted else None, c if level else None, rise
+            factors if gain else None,
+            shift if shifted else None,
+            c if level else None,
+            -float(np.expm1((value - base) / regressions.errors)),
         )
     return chosen
 
@@ -138,6 +136,7 @@ class _Regressions:
     def __init__(self, own: Predictor, window: Window) -> None:
         self.own, self.window, self.good = own, window, np.ones(own.log.recording.samples, bool)
         self.kept: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+        self.products: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         size = np.nanstd(np.vstack([part.output for part in own.parts]), axis=0)
         floor = (_ROUND_OFF * size) ** 2 if own.exact else np.zeros(size.size)
         self.floor = np.diag(np.maximum(floor, np.finfo(float).tiny))
@@ -157,8 +156,14 @@ class _Regressions:
         e = result.rows(0.0)[0][result.good]
         result.root = np.linalg.cholesky(e.T @ e / len(e) + result.floor)
         by = np.linalg.solve(result.root, plain.error_of_plant(result.window)[result.good])
-        result.by_plant = by.reshape(e.size, -1)
+        by = by.reshape(e.size, -1)
+        result.by_plant = np.linalg.qr(np.vstack((by, np.eye(by.shape[1]))))[0][: e.size]
         return result
+
+    @property
+    def errors(self) -> int:
+        """The number of errors in a sum of squares."""
+        return int(self.good.sum()) * len(self.own.log.C)
 
     def rows(self, shift: float) -> tuple[np.ndarray, np.ndarray]:
         """Errors (samples, p) and their derivatives (samples, p, gains and levels)."""
@@ -185,22 +190,44 @@ class _Regressions:
         value, beta, shift = min(each, key=lambda one: one[0])
         return value, shift, beta
 
+    def least_near(
+        self, shift: float, shifts: Float[np.ndarray, " shift"], gain: bool, level: bool
+    ) -> tuple[float, float, Float[np.ndarray, " free"]]:
+        """The least value between the neighbours of one of the shifts."""
+        from scipy.optimize import minimize_scalar
+
+        at = int(np.flatnonzero(shifts == shift)[0])
+        found = minimize_scalar(
+            lambda one: self._left(one, gain, level)[0],
+            bounds=(shifts[max(at - 1, 0)], shifts[min(at + 1, len(shifts) - 1)]),
+            method="bounded",
+            options={"xatol": _FINE * self.own.log.recording.step},
+        )
+        return self.least((shift, float(found.x)), gain, level)
+
     def _left(self, shift: float, gain: bool, level: bool) -> tuple[float, np.ndarray]:
-        e, by = (one[self.good] for one in self.rows(shift))
-        m = self.own.log.layout.m
-        chosen = np.r_[np.arange(m * gain), np.arange(m, by.shape[2] if level else m)]
-        z = np.linalg.solve(self.root, e.T).T.ravel()
-        X = np.linalg.solve(self.root, by[..., chosen]).reshape(z.size, -1)
-        unit = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-        unknown = self.by_plant.shape[1]
-        below = np.hstack((np.zeros((unknown, chosen.size)), np.eye(unknown)))
-        both = np.vstack((np.hstack((X / unit, self.by_plant)), below))
-        given = np.concatenate((z, np.zeros(unknown)))
-        beta = -np.linalg.lstsq(both, given, rcond=1e-9)[0]
-        left = given + both @ beta
-        floor = np.trace(np.linalg.solve(self.root, np.linalg.solve(self.root, self.floor).T))
-        square = float(left @ left) + len(e) * float(floor)
-        return z.size * float(np.log(square)), beta[: chosen.size] / unit
+        m, (products, unit) = self.own.log.layout.m, self._products(shift)
+        own = 1 + np.r_[np.arange(m * gain), np.arange(m, unit.size if level else m)]
+        beta = -np.linalg.lstsq(products[np.ix_(own, own)], products[own, 0], rcond=1e-12)[0]
+        floor = np.linalg.solve(self.root, np.linalg.solve(self.root, self.floor).T)
+        square = max(float(products[0, 0] + products[0, own] @ beta), 0.0)
+        square += float(np.trace(floor)) * self.errors / len(self.root)
+        return self.errors * float(np.log(square)), beta / unit[own - 1]
+
+    def _products(self, shift: float) -> tuple[np.ndarray, np.ndarray]:
+        """Inner products of errors and derivatives, less their part in the plant's; and units.
+
+        `by_plant` has orthonormal columns, with the rows of w below them cut off.
+        """
+        if shift not in self.products:
+            e, by = (one[self.good] for one in self.rows(shift))
+            z = np.linalg.solve(self.root, e.T).T.reshape(-1, 1)
+            X = np.linalg.solve(self.root, by).reshape(z.size, -1)
+            unit = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+            both = np.hstack((z, X / unit))
+            inside = self.by_plant.T @ both
+            self.products[shift] = both.T @ both - inside.T @ inside, unit
+        return self.products[shift]
 
 
 def inflation_of(white: list[Float[np.ndarray, "sample p"]]) -> float:
@@ -219,26 +246,26 @@ def contradictions(
     each = recording.by_log
     if len(each) < 2:
         return (), ()
+    log = np.repeat(np.arange(len(each)), [len(parts) for parts in each])
+    total = np.bincount(log, [np.nansum(one**2) for one in estimate.white])
+    number = np.bincount(log, [np.isfinite(one).sum() for one in estimate.white])
+    mean = total / np.maximum(number, 1)
     inflation, found = inflation_of(list(estimate.white)), []
-    for name, parts in zip(recording.logs, each, strict=True):
+    for name, parts, size in zip(recording.logs, each, mean, strict=True):
         own = recording._replace(parts=parts).stretches(_FEW, recording.lag(estimate.searched[1]))
         predictor = Predictor.of(estimate, C, own)
         difference = difference_of(predictor, inflation, len(each))
         if difference is not None:
             words = difference.words(predictor, recording.inputs, recording.outputs)
-            found.append((difference.rise, name, words))
+            found.append((difference.share * size, name, words))
     if found:
         _, name, words = max(found)
         return (
             f"The logs contradict one another: of {name}, compared with the plant of all, {words} "
             f"(likelihood ratio, level {CHANCE:g}). Identify it alone, or leave it out.",
         ), ("the logs contradict one another",)
-    log = np.repeat(np.arange(len(each)), [len(parts) for parts in each])
-    squares = [np.nansum(one**2) for one in estimate.white]
-    counts = [np.isfinite(one).sum() for one in estimate.white]
-    total, number = np.bincount(log, squares), np.bincount(log, counts)
     others = (total.sum() - total) / np.maximum(number.sum() - number, 1)
-    ratio = total / np.maximum(number, 1) / np.maximum(others, np.finfo(float).tiny)
+    ratio = mean / np.maximum(others, np.finfo(float).tiny)
     worst = int(np.argmax(ratio))
     free = number / inflation
     chance = f.sf(ratio[worst], max(free[worst], 1.0), max(free.sum() - free[worst], 1.0))

@@ -211,7 +211,8 @@ def identify(
     if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
         fit = from_recording(resting(recording, False))
-    progress("comparing predictions with the log")
+    if compared is not None:
+        progress(f"predicting the {compared.name}")
     return fit.validated(compared)
 
 
