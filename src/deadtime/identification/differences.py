@@ -46,13 +46,15 @@ _SINGULAR = 1e8  # condition number of A beyond which there is no rest
 class Difference(NamedTuple):
     """What differs in a log; None where it does not.
 
-    gain : (m,), factors of B; delay : added to all, seconds; level : (n,), added to dx/dt
+    gain : (m,), factors of B; delay : added to all, seconds
+    level : (modes, n), added to dx/dt; offset : (p,), of the outputs, if it is that of a rest
     share : of the sum of squared errors that it explains
     """
 
     gain: Float[np.ndarray, " m"] | None
     delay: float | None
-    level: Float[np.ndarray, " n"] | None
+    level: Float[np.ndarray, "mode n"] | None
+    offset: Float[np.ndarray, " p"] | None
     share: float
 
     def applied(self, predictor: Predictor) -> Predictor:
@@ -67,7 +69,7 @@ class Difference(NamedTuple):
             theta[layout.of_B[:, :, layout.m]] += self.level
         return replace(own, vector=theta)
 
-    def words(self, predictor: Predictor, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> str:
+    def words(self, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> str:
         """What differs, as a list in words."""
         words = []
         if self.gain is not None:
@@ -77,15 +79,12 @@ class Difference(NamedTuple):
         if self.delay is not None:
             more = "longer" if self.delay > 0.0 else "shorter"
             words.append(f"its delay is {amount(abs(self.delay))} s {more}")
-        if self.level is not None:
-            A = predictor.model.plant.A
-            level = "its level is another one"
-            if len(A) == 1 and np.linalg.cond(A[0]) < _SINGULAR:
-                off = -predictor.log.C @ np.linalg.solve(A[0], self.level)
-                each = zip(outputs, off, strict=True)
-                parts = [f"{f'{v:+.3g}'.replace('-', '−')} in {name}" for name, v in each]
-                level = f"its level is off by {', '.join(parts)}"
-            words.append(level)
+        if self.offset is not None:
+            each = zip(outputs, self.offset, strict=True)
+            parts = [f"{f'{v:+.3g}'.replace('-', '−')} in {name}" for name, v in each]
+            words.append(f"its level is off by {', '.join(parts)}")
+        elif self.level is not None:
+            words.append("a constant load acts on it")
         return ", ".join(words[:-1]) + (" and " if words[1:] else "") + words[-1]
 
 
@@ -104,27 +103,45 @@ def difference_of(predictor: Predictor, inflation: float, logs: int = 1) -> Diff
     regressions = _Regressions.of(predictor, own, shifts)
     if regressions is None:
         return None
-    m, acting = own.log.layout.m, own.log.acting
+    m, ways = own.log.layout.m, regressions.ways
     each = float(chi2.isf(CHANCE / (_SUBSETS * logs), 1))
     base, best, chosen = regressions.least((0.0,), False, False)[0], 0.0, None
     for gain, shifted, level in product((False, True), repeat=3):
-        free = m * gain + shifted + acting.size * level
+        free = m * gain + shifted + len(ways.terms) * level
         value, shift, beta = regressions.least(shifts if shifted else (0.0,), gain, level)
         if shifted:
             value, shift, beta = regressions.least_near(shift, shifts, gain, level)
         rise = (base - value) / inflation - free * each
         if not free or rise <= best:
             continue
-        c = np.zeros(own.log.layout.n)
-        c[acting] = beta[m * gain :] if level else 0.0
         factors, best = 1.0 + beta[: m * gain], rise
         chosen = Difference(
             factors if gain else None,
             shift if shifted else None,
-            c if level else None,
+            np.tensordot(beta[m * gain :], ways.terms, 1) if level else None,
+            beta[m * gain :] @ ways.offsets if level and ways.offsets is not None else None,
             -float(np.expm1((value - base) / regressions.errors)),
         )
     return chosen
+
+
+class _Levels(NamedTuple):
+    """Constant terms of levels of their own, and the outputs' offsets that they make at rest.
+
+    Where every mode has one rest, a level is an offset of an output, c_i = −A_i δ; otherwise it is
+    a load on a state.
+    """
+
+    terms: Float[np.ndarray, "some mode n"]
+    offsets: Float[np.ndarray, "some p"] | None
+
+    @classmethod
+    def of(cls, own: Predictor) -> _Levels:
+        A, C, n = own.model.plant.A, own.log.C, own.log.layout.n
+        if np.linalg.cond(A).max() < _SINGULAR:
+            ways = np.eye(n) if own.log.embedding is None else C
+            return cls(-np.einsum("iab,sb->sia", A, ways), ways @ C.T)
+        return cls(np.tile(np.eye(n)[own.log.acting, None], (1, len(A), 1)), None)
 
 
 class _Regressions:
@@ -140,6 +157,7 @@ class _Regressions:
         size = np.nanstd(np.vstack([part.output for part in own.parts]), axis=0)
         floor = (_ROUND_OFF * size) ** 2 if own.exact else np.zeros(size.size)
         self.floor = np.diag(np.maximum(floor, np.finfo(float).tiny))
+        self.ways = _Levels.of(own)
         self.root, self.by_plant = np.eye(size.size), np.zeros((0, 0))
 
     @classmethod
@@ -151,7 +169,7 @@ class _Regressions:
         result = cls(own, (float(D.min() + shifts[0]), float(D.max() + shifts[-1])))
         for shift in (shifts[0], shifts[-1], 0.0):
             result.good &= np.isfinite(result.rows(float(shift))[0]).all(axis=1)
-        if result.good.sum() <= _LEAST * (own.log.layout.m + own.log.acting.size + 1 + p):
+        if result.good.sum() <= _LEAST * (own.log.layout.m + len(result.ways.terms) + 1 + p):
             return None
         e = result.rows(0.0)[0][result.good]
         result.root = np.linalg.cholesky(e.T @ e / len(e) + result.floor)
@@ -172,13 +190,14 @@ class _Regressions:
             vector = own.vector.copy()
             vector[layout.at_delays] += shift
             e, by = own.errors(vector, self.window), []
-            unit = float(np.nanstd(e)) / own.log.recording.step + np.finfo(float).tiny
-            of_gain = [(layout.of_B[:, :, j], 1.0) for j in range(layout.m)]
-            of_level = [(layout.of_B[:, a, layout.m], unit) for a in own.log.acting]
-            for place, step in (*of_gain, *of_level):
+            for j in range(layout.m):
                 moved = vector.copy()
-                moved[place] += step if step == unit else moved[place]
-                by.append((own.errors(moved, self.window) - e) / step)
+                moved[layout.of_B[:, :, j]] *= 2.0
+                by.append(own.errors(moved, self.window) - e)
+            for terms in self.ways.terms:
+                moved = vector.copy()
+                moved[layout.of_B[:, :, layout.m]] += terms
+                by.append(own.errors(moved, self.window) - e)
             self.kept[shift] = e, np.stack(by, axis=-1)
         return self.kept[shift]
 
@@ -256,7 +275,7 @@ def contradictions(
         predictor = Predictor.of(estimate, C, own)
         difference = difference_of(predictor, inflation, len(each))
         if difference is not None:
-            words = difference.words(predictor, recording.inputs, recording.outputs)
+            words = difference.words(recording.inputs, recording.outputs)
             found.append((difference.share * size, name, words))
     if found:
         _, name, words = max(found)

@@ -48,14 +48,15 @@ _SETTLED = 200  # periods after which the filter's covariance is constant
 
 
 class FreeRun(NamedTuple):
-    """States of a free run, and variances of its outputs' errors by the model's noise; else NaN.
+    """States of a free run, NaN where there is none.
 
+    variance : of its outputs' errors by the model's noise, if that was asked for
     starts : first rows of the runs; used : rows from which their first states are, in all
     longest : of the runs, seconds
     """
 
     states: Float[np.ndarray, "sample n"]
-    variance: Float[np.ndarray, "sample p"]
+    variance: Float[np.ndarray, "sample p"] | None
     starts: tuple[int, ...]
     used: int
     longest: float
@@ -180,14 +181,14 @@ class Predictor(Frozen):
             worst = np.maximum(worst, np.diagonal(C @ P @ C.T + R))
         return worst
 
-    def free_run(self, number: int) -> FreeRun:
+    def free_run(self, number: int, noise: bool = False) -> FreeRun:
         """The states of a part by its inputs alone, from first states as in the module's text."""
         part, C = self.parts[number], self.log.C
         starts, used, longest, R = [], 0, 0.0, self.deviation**2
         states = np.full((part.time.size, self.log.layout.n), np.nan)
-        variance = np.full(part.output.shape, np.nan)
+        variance = np.full(part.output.shape, np.nan) if noise else None
         Phi, forced = self.model.transitions(part)
-        Q = self._noise(part)
+        Q = self._noise(part) if noise else None
         for first, last in runs_of(np.isfinite(forced).all(axis=1)):
             known = np.isfinite(part.output[first:last])
             rows = np.flatnonzero(known.all(axis=1) if self.exact else known.any(axis=1))
@@ -199,9 +200,12 @@ class Predictor(Frozen):
             longest = max(longest, float(part.time[last] - part.time[first]))
             with np.errstate(all="ignore"):
                 for k in range(first, last + 1):
-                    states[k], variance[k] = x, np.diagonal(C @ P @ C.T) + R
+                    states[k] = x
                     if k < last:
-                        x, P = Phi[k] @ x + forced[k], Phi[k] @ P @ Phi[k].T + Q[k]
+                        x = Phi[k] @ x + forced[k]
+                    if variance is not None and Q is not None:
+                        variance[k] = np.diagonal(C @ P @ C.T) + R
+                        P = Phi[k] @ P @ Phi[k].T + Q[k] if k < last else P
         return FreeRun(states, variance, tuple(starts), used, longest)
 
     def _noise(self, part: Part) -> Float[np.ndarray, "period n n"]:

@@ -286,7 +286,8 @@ class _Predicted(NamedTuple):
             return True, False, f"{text}100 % is exact and 0 % a constant."
         why, worse = self._excuse(), False
         if not why:
-            variance = np.vstack([run.variance for run in self.runs])
+            every = [self.predictor.free_run(i, noise=True) for i in range(len(self.runs))]
+            variance = np.vstack([one.variance for one in every if one.variance is not None])
             worse = _beyond(self.measured - self.free, variance, free)
             why = "" if worse else "the model's own noise explains its error"
         said = f"On the {name} the model predicts worse than a constant: "
@@ -346,7 +347,7 @@ def _details(
     inflation = inflation_of(list(estimate.white))
     difference = difference_of(Predictor.of(estimate, C, few), inflation)
     if difference is not None:
-        words = difference.words(predictor, other.inputs, names)
+        words = difference.words(other.inputs, names)
         own = difference.applied(predictor)
         runs = [own.free_run(i) for i in range(len(own.parts))]
         fits = fit_percent(_outputs(own), _free_outputs(own, runs))

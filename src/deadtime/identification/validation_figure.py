@@ -58,11 +58,11 @@ def draw_validation(
     margin = _FAR * max(float(high - low), 1e-300)
     for number, one in enumerate(_first_log(courses)):
         y = one.measured[:, output]
-        labels = [None] * 3 if number else ["log", "free run", "a row ahead"]
+        labels = [None] * 3 if number else ["log", "a row ahead", "free run"]
         above.plot(one.time, y, ".", color="#999999", markersize=3.0, label=labels[0])
         drawn = (
-            (one.free_run, "--", COLOURS[1], labels[1]),
-            (one.one_step, "-", COLOURS[0], labels[2]),
+            (one.one_step, "-", COLOURS[0], labels[1]),
+            (one.free_run, "--", COLOURS[1], labels[2]),
         )
         for curve, line, colour, label in drawn:
             x = curve[:, output]
