@@ -400,6 +400,37 @@ def test_the_figure_has_what_was_measured_and_both_predictions_in_the_log_s_unit
     write_identification(fit, tmp_path / "page.html")
 
 
+def test_lost_inputs_cost_only_the_rows_in_which_they_act():
+    fit = dt.identify(logged(FIRST_ORDER, 0), modes=None, delay=(0.0, 1.0), noise=False)
+    test = logged(FIRST_ORDER, 1)
+    test["u1"] = test["u1"].where(np.arange(300) % 40 != 7)
+    validation = fit.compare(test)
+    assert 200 < validation.samples < 293
+    assert "differs" not in validation.message
+
+
+def test_a_constant_output_is_predicted_worse_than_by_a_constant_beyond_any_number():
+    fit = dt.identify(logged(FIRST_ORDER, 0), modes=None, delay=(0.0, 1.0), noise=False)
+    validation = fit.compare(logged(FIRST_ORDER, 1).assign(x1=2.0))
+    assert validation.free_run[0] == -np.inf
+    assert validation.worse_than_constant
+    assert "free-run fit −∞ %" in validation.sentences[0]
+
+
+def test_a_test_log_in_milliseconds_is_refused():
+    fit = dt.identify(logged(FIRST_ORDER, 0), modes=None, delay=(0.0, 1.0), noise=False)
+    test = logged(FIRST_ORDER, 1)
+    with pytest.raises(ArgumentError, match="if its t counts milliseconds"):
+        fit.compare(test.assign(t=1000.0 * test["t"]))
+
+
+def test_an_exact_plant_predicts_exactly_and_round_off_is_no_difference():
+    quiet = Plant(FIRST_ORDER.A, FIRST_ORDER.B, 0.262)
+    fit = dt.identify(logged(quiet, 0), modes=None, delay=(0.0, 1.0), noise=False, test="half")
+    np.testing.assert_allclose(fit.validation.free_run, 100.0, atol=1e-5)
+    assert len(fit.validation.sentences) == 3
+
+
 def test_repr_has_the_figures():
     fit = dt.identify(logged(FIRST_ORDER, 0), modes=None, delay=(0.0, 1.0), noise=False)
     validation = fit.compare(logged(FIRST_ORDER, 1))

@@ -28,6 +28,7 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Window
 from deadtime.identification.predictor import Predictor
 from deadtime.identification.residuals import autocorrelation
+from deadtime.identification.sampling import fed
 
 CHANCE = 1e-3  # significance level of a difference, and of larger errors
 _FEW = 4_000  # rows of a log that are compared
@@ -38,7 +39,7 @@ _SUBSETS = 7
 _LEAST = 3  # rows per unknown
 _SHORTEST = 1e-6  # of a period: the shortest delay
 _SURE = 3.0  # standard errors of a correlation that counts
-_ROUND_OFF = 1e-9  # of an output's deviation: smaller errors are round-off
+ROUND_OFF = 1e-9  # of an output's deviation: smaller errors are round-off
 _FAR = 4.0  # ratio of variances from which errors count as far larger
 _SINGULAR = 1e8  # condition number of A beyond which there is no rest
 
@@ -73,9 +74,9 @@ class Difference(NamedTuple):
         """What differs, as a list in words."""
         words = []
         if self.gain is not None:
-            each = zip(inputs, self.gain, strict=True)
-            of = [f"of {name} " if len(inputs) > 1 else "" for name in inputs]
-            words += [f"its gain {of[j]}is {g:.3g} times as large" for j, (_, g) in enumerate(each)]
+            of = [f"of {name} " if inputs[1:] else "" for name in inputs]
+            each = (f"{round(float(one), 6):.3g}".replace("-", "−") for one in self.gain)
+            words += [f"its gain {j}is {g} times as large" for j, g in zip(of, each, strict=True)]
         if self.delay is not None:
             more = "longer" if self.delay > 0.0 else "shorter"
             words.append(f"its delay is {amount(abs(self.delay))} s {more}")
@@ -155,7 +156,7 @@ class _Regressions:
         self.kept: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.products: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         size = np.nanstd(np.vstack([part.output for part in own.parts]), axis=0)
-        floor = (_ROUND_OFF * size) ** 2 if own.exact else np.zeros(size.size)
+        floor = (ROUND_OFF * size) ** 2 if own.exact else np.zeros(size.size)
         self.floor = np.diag(np.maximum(floor, np.finfo(float).tiny))
         self.ways = _Levels.of(own)
         self.root, self.by_plant = np.eye(size.size), np.zeros((0, 0))
@@ -169,6 +170,8 @@ class _Regressions:
         result = cls(own, (float(D.min() + shifts[0]), float(D.max() + shifts[-1])))
         for shift in (shifts[0], shifts[-1], 0.0):
             result.good &= np.isfinite(result.rows(float(shift))[0]).all(axis=1)
+        each = [np.append(False, fed(part, *result.window[::-1])) for part in own.parts]
+        result.good &= np.concatenate(each)
         if result.good.sum() <= _LEAST * (own.log.layout.m + len(result.ways.terms) + 1 + p):
             return None
         e = result.rows(0.0)[0][result.good]

@@ -151,7 +151,7 @@ class Identification(Findings):
         """
         if self.hidden is not None:
             raise ArgumentError(NOT_LOGGED)
-        compared = read_to_compare(log, self._recording, "log", None)
+        compared = read_to_compare(log, self._recording, "log", None, self._estimate.searched[1])
         return validate(self._estimate, self._C, self._recording, compared)
 
     def validated(self, compared: ComparedLog | None) -> Identification:

@@ -20,10 +20,12 @@ from jaxtyping import Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
-from deadtime.identification.differences import CHANCE, difference_of, inflation_of
+from deadtime.base.wording import amount
+from deadtime.identification.differences import CHANCE, ROUND_OFF, difference_of, inflation_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.logged_states import resting, still
 from deadtime.identification.log.recording import Recording, read_beside
+from deadtime.identification.log.unit_changes import require_seconds
 from deadtime.identification.parameters import SensorMatrix
 from deadtime.identification.predictor import FreeRun, Predictor
 
@@ -124,6 +126,8 @@ def fit_percent(
 ) -> Float[np.ndarray, " p"]:
     """100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖) of every column over the rows that have both; NaN without any.
 
+    It is −∞ where a column is constant and predicted otherwise.
+
     Examples
     --------
     >>> y = np.array([[1.0], [2.0], [3.0]])
@@ -136,8 +140,8 @@ def fit_percent(
     spread = np.linalg.norm(np.where(both, measured - mean, 0.0), axis=0)
     with np.errstate(over="ignore"):  # an unstable plant's free run
         size = np.linalg.norm(off, axis=0)
-    ratio = np.divide(size, spread, out=np.full(size.size, np.nan), where=spread > 0.0)
-    return 100.0 * (1.0 - ratio)
+    still = np.where(size > 0.0, np.inf, np.nan)
+    return 100.0 * (1.0 - np.divide(size, spread, out=still, where=spread > 0.0))
 
 
 class ComparedLog(NamedTuple):
@@ -158,7 +162,7 @@ def log_to_compare(
         return recording, None
     share = 0.5 if isinstance(test, str) and test == "half" else test
     if not isinstance(share, float | int | np.floating) or isinstance(share, bool):
-        return recording, read_to_compare(test, recording, "test", rest)
+        return recording, read_to_compare(test, recording, "test", rest, before)
     if not 0.0 < share < 1.0:
         raise ArgumentError(
             'test must be "half", a share between 0 and 1 to hold out, or another log, got '
@@ -175,9 +179,12 @@ def log_to_compare(
 
 
 def read_to_compare(
-    log: object, recording: Recording, argument: str, rest: bool | None
+    log: object, recording: Recording, argument: str, rest: bool | None, longest: float
 ) -> ComparedLog:
-    return ComparedLog(resting(read_beside(log, recording, argument), rest), "test log")
+    """Another log as a recording; `longest`: delay that was searched, seconds."""
+    other = read_beside(log, recording, argument)
+    require_seconds(other, longest)
+    return ComparedLog(resting(other, rest), "test log")
 
 
 def validate(
@@ -204,7 +211,7 @@ def validate(
         samples = predicted.rows
         judged, worse, answer = predicted.answer(compared.name)
         sentences = [answer, *_a_row_ahead(predicted)] if judged else [answer]
-        sentences = [*sentences, *_details(predicted, estimate, C, recording, compared)]
+        sentences += _details(predicted, estimate, C, recording, compared, judged)
     free, one_step, last, several = figures
     return Validation(
         outputs=compared.recording.outputs,
@@ -298,12 +305,14 @@ class _Predicted(NamedTuple):
         if _beyond(off, np.broadcast_to(variance, off.shape), several):
             text = f"{self.horizon:.3g} s ahead the fit is {_percents(several, names)}."
             return False, True, f"{said}{text}"
+        some = bool(np.isfinite(several).all())
         return (
             False,
             False,
-            f"The free run on the {name} is not judged, for {why}: {self.horizon:.3g} s ahead the "
-            f"fit is {_percents(several, names)}, and a row ahead {_percents(one_step, names)}, "
-            f"where the last value alone gives {_percents(last, names)}.",
+            f"The free run on the {name} is not judged, for {why}: the fit is "
+            f"{f'{_percents(several, names)} over {self.horizon:.3g} s, and ' * some}"
+            f"{_percents(one_step, names)} a row ahead, where the last value alone gives "
+            f"{_percents(last, names)}.",
         )
 
     def _excuse(self) -> str:
@@ -339,6 +348,7 @@ def _details(
     C: SensorMatrix,
     recording: Recording,
     compared: ComparedLog,
+    judged: bool,
 ) -> list[str]:
     """Sentences after the answer: figures a row ahead, differences, and limits of the test."""
     other, name, predictor = compared.recording, compared.name, predicted.predictor
@@ -354,15 +364,15 @@ def _details(
         far = difference.gain is not None and (np.abs(difference.gain - 1.0) > _UNITS).any()
         units = " Compare the units of its columns." if far else ""
         sentences.append(
-            f"The {name} differs from the model: {words} (likelihood ratio, level {CHANCE:g}); the "
-            f"free run would fit {_percents(fits, names)} with that.{units}"
+            f"The {name} differs from the model: {words} (likelihood ratio, level {CHANCE:g})"
+            f"{f'; the free run would fit {_percents(fits, names)} with that' * judged}.{units}"
         )
     else:
         sentences += _larger_errors(
             predictor, Predictor.of(estimate, C, recording), inflation, name
         )
     used, starts = sum(r.used for r in predicted.runs), sum(len(r.starts) for r in predicted.runs)
-    each = "The free run" if starts == 1 else f"Each of {starts} free runs, with lost rows between,"
+    each = "The free run" if starts == 1 else f"Each of {starts} free runs"
     first = f"state that fits its first {used // starts} rows best"
     sentences.append(f"{each} starts from the {'logged state' if predictor.exact else first}.")
     if _constant(other):
@@ -394,7 +404,8 @@ def _larger_errors(predictor: Predictor, own: Predictor, inflation: float, name:
             lambda e, axis: np.isfinite(e).sum(axis),
         )
     )
-    floor = np.finfo(float).tiny
+    size = ROUND_OFF * np.nanstd(_outputs(own), axis=0) if own.exact else 0.0
+    floor = np.maximum(size**2, np.finfo(float).tiny)
     mean = [s / np.maximum(n, 1) for s, n in zip(squares, counts, strict=True)]
     ratio = mean[0] / np.maximum(mean[1], floor)
     free = [np.maximum(n / inflation, 1.0) for n in counts]
@@ -402,9 +413,9 @@ def _larger_errors(predictor: Predictor, own: Predictor, inflation: float, name:
     if ratio.max() < _LARGER or chance > CHANCE:
         return []
     return [
-        f"Errors a row ahead are {np.sqrt(ratio.max()):.2g} times those on the log that was "
-        f"identified (F test, level {CHANCE:g}): the noise of the {name} or its plant is another "
-        "one."
+        f"Errors a row ahead are {amount(float(np.sqrt(ratio.max())))} times those on the log that "
+        f"was identified (F test, level {CHANCE:g}): the noise of the {name} or its plant is "
+        "another one."
     ]
 
 
@@ -457,7 +468,10 @@ def _rests(recording: Recording, other: Recording) -> bool:
 
 def _percents(fits: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
     """Fits in words, with the names of several outputs."""
-    each = [f"{one:.1f} %".replace("-", "−") if np.isfinite(one) else "nothing" for one in fits]
+    each = [
+        "undefined" if np.isnan(one) else f"{one:.1f} %".replace("-", "−").replace("inf", "∞")
+        for one in fits
+    ]
     if len(each) == 1:
         return each[0]
     of = [f"{one} of {name}" for one, name in zip(each, names, strict=True)]
