@@ -55,8 +55,8 @@ def plot_identification(fit: Findings) -> Figure:
         axes[-1].set_xlabel(f"time (s), {rows_shown(fit, part)}")
         draw_residuals(figure.add_subplot(grid[n + several + 1]), fit)
         for i, name in enumerate(fit._recording.outputs[:tested]):
-            pair = (figure.add_subplot(grid[rows - 2 * (tested - i) + k]) for k in (0, 1))
-            draw_validation(*pair, i, f"{name}, test", courses)
+            above, below = (figure.add_subplot(grid[rows - 2 * (tested - i) + k]) for k in (0, 1))
+            draw_validation(above, below, i, f"{name}, test", courses)
     return figure
 
 

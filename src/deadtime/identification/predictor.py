@@ -189,7 +189,7 @@ class Predictor(Frozen):
         variance = np.full(part.output.shape, np.nan) if noise else None
         Phi, forced = self.model.transitions(part)
         Q = self._noise(part) if noise else None
-        for first, last in runs_of(np.isfinite(forced).all(axis=1)):
+        for first, last in runs_of(np.asarray(np.isfinite(forced).all(axis=1))):
             known = np.isfinite(part.output[first:last])
             rows = np.flatnonzero(known.all(axis=1) if self.exact else known.any(axis=1))
             if not rows.size:

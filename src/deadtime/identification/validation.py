@@ -257,7 +257,8 @@ class _Predicted(NamedTuple):
     def by(cls, predictor: Predictor, longest: float) -> _Predicted:
         numbers, C = range(len(predictor.parts)), predictor.log.C
         steps = max(1, round(_DELAYS * longest / predictor.log.recording.step))
-        runs, ahead = ([one(i) for i in numbers] for one in (predictor.free_run, predictor.ahead))
+        runs = [predictor.free_run(i) for i in numbers]
+        ahead = [predictor.ahead(i) for i in numbers]
         several = [predictor.several(i, one, steps) for i, one in zip(numbers, ahead, strict=True)]
         last = np.vstack([_last_values(part.output) for part in predictor.parts])
         one_step = np.where(np.isfinite(last), np.vstack(ahead) @ C.T, np.nan)
