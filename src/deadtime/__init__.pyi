@@ -44,6 +44,7 @@ from .gains import (
 from .identification import (
     Experiment as Experiment,
     Identification as Identification,
+    Validation as Validation,
     design_experiment as design_experiment,
     identify as identify,
 )

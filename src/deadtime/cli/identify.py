@@ -29,6 +29,18 @@ if TYPE_CHECKING:
     from deadtime.switching import SwitchingSignal
 
 
+_OF_VALIDATION = (
+    "outputs",
+    "free_run",
+    "one_step",
+    "last_value",
+    "several_steps",
+    "horizon",
+    "samples",
+    "judged",
+    "worse_than_constant",
+    "sentences",
+)
 _OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
 
 
@@ -40,6 +52,7 @@ _OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
         "deadtime identify log.csv --modes 1..3 --switches samples    # modes not logged",
         "deadtime identify log.csv --order 2 --outputs position    # speed is not logged",
         "deadtime identify log.csv --model fopdt --one-mode --delay 0 60    # a step test",
+        "deadtime identify log.csv --one-mode --test half    # or --test second.csv",
         "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
     ),
 )
@@ -59,6 +72,7 @@ def identify(
     model: Literal["fopdt", "sopdt", "integrating"] | None = None,
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     hold: Literal["held", "linear"] | None = None,
+    test: list[str] | None = None,
     beside: Path | None = None,
     law: str | None = None,
     out: options.File = None,
@@ -68,7 +82,8 @@ def identify(
 ) -> int:
     """Identify a plant from logs: matrices, delays and noise, each with its 95 % interval.
 
-    The exit code is 1 if a delay is not found: it fits best at an end of the range searched.
+    The exit code is 1 if a delay is not found, because it fits best at an end of the range
+    searched, or if the plant predicts its log, or that of test, worse than a constant.
 
     Parameters
     ----------
@@ -108,6 +123,9 @@ def identify(
         rest and its residuals do not contradict that.
     hold
         Whether inputs are held between samples or change linearly; by default held, and tested.
+    test
+        Another log to validate the plant with; or half, or a share such as 0.3, to hold out the
+        last rows for that. The option may be repeated.
     beside
         A problem file with a law, whose delay margin is compared with the delay's interval.
     law
@@ -123,9 +141,11 @@ def identify(
     from deadtime.reports.identification_report import (
         HEADINGS,
         PROCESS_HEADINGS,
+        VALIDATION_HEADINGS,
         interval_rows,
         process_rows,
         sampling_of,
+        validation_rows,
     )
 
     if not logs:
@@ -135,7 +155,8 @@ def identify(
     require_writable("out", out)
     figure = None if figure is None else output_file("figure", figure)
     require_writable("report", report, (".html", ".htm"))
-    _require_apart([*logs, beside], [out, figure, report])
+    tests = [] if isinstance(tested := _test(test), float | str | None) else tested
+    _require_apart([*logs, beside, *tests], [out, figure, report])
     whose = _law_of(beside, law)
     failed = None
     with stage_line(quiet=json_output) as stage:
@@ -154,6 +175,7 @@ def identify(
             model=model,
             rest=rest,
             hold=hold,
+            test=tested,
             progress=stage,
         )
         sentences = [with_options(one) for one in fit.sentences]
@@ -175,13 +197,26 @@ def identify(
             print_table(PROCESS_HEADINGS, rows)
             print()
         print_table(HEADINGS, interval_rows(fit))
+        if fit.validation is not None:
+            print()
+            print_table(VALIDATION_HEADINGS, validation_rows(fit.validation))
         print()
         print_details(details)
         for path in written:
             print(f"\nWritten: {path}")
     if failed is not None:
         raise failed
-    return 1 if fit.delays_not_found else 0
+    return 1 if fit.delays_not_found or fit.worse_than_constant else 0
+
+
+def _test(given: list[str] | None) -> str | float | list[Path] | None:
+    """ "half", a share, or paths of logs."""
+    if given is None or given == ["half"]:
+        return given and given[0]
+    try:
+        return float(given[0]) if len(given) == 1 else [Path(one) for one in given]
+    except ValueError:
+        return [Path(given[0])]
 
 
 def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:
@@ -298,6 +333,7 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "intervals": ends,
         "log_likelihood": fit.log_likelihood,
         "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
+        "validation": fit.validation and record(fit.validation, *_OF_VALIDATION),
         "sentences": sentences,
     }
 

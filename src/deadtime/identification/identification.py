@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -9,13 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadtime.base.checks import positive
+from deadtime.base.errors import ArgumentError
 from deadtime.base.files import replacing
+from deadtime.identification.differences import contradictions
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
 from deadtime.identification.sentences import sentences_of, verdict_of
+from deadtime.identification.validation import (
+    DOUBT,
+    NOT_LOGGED,
+    ComparedLog,
+    Validation,
+    doubt_of_free_run,
+    read_to_compare,
+    validate,
+)
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
     from deadtime.feedback import Law
@@ -54,6 +67,10 @@ class Identification(Findings):
         The results in words.
     doubts : tuple of str
         Reasons why intervals may not contain the delays; then no verdict is "enough".
+    validation : Validation or None
+        How well the plant predicts the log of `test`.
+    worse_than_constant : bool
+        Whether the plant predicts that log, or the one it is from, worse than a constant.
 
     Examples
     --------
@@ -95,6 +112,68 @@ class Identification(Findings):
         first = log.modes is None or bool(fit.delays_not_found)
         joined = (*own, *log.sentences) if first else (*log.sentences, *own)
         return replace(fit, sentences=joined)
+
+    def compare(self, log: str | PathLike[str] | pd.DataFrame | Sequence) -> Validation:
+        """How well the plant predicts another log, which has the columns of its own.
+
+        The free run begins at the logged state, or where sensors are noisy at the state that fits
+        its first rows best, with the operating point of the plant. Differences of the log in gain,
+        delay or level are tested and named. Predictions begin once the inputs of a longest delay
+        are known, and again after lost rows.
+
+        Parameters
+        ----------
+        log : path, DataFrame, or list of them
+
+        Returns
+        -------
+        Validation
+
+        Raises
+        ------
+        ArgumentError
+            If the log is malformed or visits modes that the plant does not have, or if modes were
+            not logged.
+
+        Examples
+        --------
+        >>> import deadtime as dt, numpy as np, pandas as pd
+        >>> rng = np.random.default_rng(0)
+        >>> x, u = np.zeros(400), rng.standard_normal(400)
+        >>> for k in range(3, 399):
+        ...     x[k + 1] = 0.9 * x[k] + 0.06 * u[k - 3] + 0.04 * u[k - 2]
+        ...     x[k + 1] += 0.01 * rng.standard_normal()
+        >>> log = pd.DataFrame({"t": 0.1 * np.arange(400), "x": x, "u": u})
+        >>> fit = dt.identify(log[:200], modes=None, delay=(0.0, 1.0))
+        >>> validation = fit.compare(log[200:])
+        >>> bool(validation.free_run[0] > 80.0), validation.samples
+        (True, 196)
+        """
+        if self.hidden is not None:
+            raise ArgumentError(NOT_LOGGED)
+        compared = read_to_compare(log, self._recording, "log", None, self._estimate.searched[1])
+        return validate(self._estimate, self._C, self._recording, compared)
+
+    def validated(self, compared: ComparedLog | None) -> Identification:
+        """With the validation by another log, and doubts where logs contradict the plant."""
+        of = self._estimate, self._C, self._recording
+        worse, free = doubt_of_free_run(*of)
+        sentences, doubts = contradictions(*of) if self.hidden is None else ((), ())
+        validation = None
+        if compared is not None:
+            validation = validate(*of, compared)
+            worse |= validation.worse_than_constant
+            free = (*validation.sentences, *free)
+        answer = int(bool(self.delays_not_found))  # a delay that is not found is said first
+        first, rest = self.sentences[:answer], self.sentences[answer:]
+        ahead, later = (free, ()) if worse else ((), free)
+        return replace(
+            self,
+            sentences=(*first, *ahead, *sentences, *rest, *later),
+            doubts=(*((DOUBT,) if worse else ()), *self.doubts, *doubts),
+            validation=validation,
+            worse_than_constant=worse,
+        )
 
     def verdict(
         self, margin: DelayMargin, law: Law | None = None, step: float | None = None

@@ -16,8 +16,10 @@ from deadtime.base.figure_files import new_figure
 from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
-from deadtime.identification.residuals import LAGS, FittedModel, autocorrelation, with_inputs
+from deadtime.identification.predictor import Predictor
+from deadtime.identification.residuals import LAGS, autocorrelation, with_inputs
 from deadtime.identification.sentences import delay_names
+from deadtime.identification.validation_figure import draw_validation, plot_validation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +40,9 @@ def plot_identification(fit: Findings) -> Figure:
 
     part = shown(fit)
     n, several = fit.plant.states, fit.plant.modes > 1
-    rows = n + 2 + several
+    courses = () if fit.validation is None else fit.validation.courses
+    tested = len(fit._recording.outputs) if courses else 0
+    rows = n + 2 + several + 2 * tested
     with mpl.rc_context(STYLE):
         figure = new_figure(1.5 * WIDTH, 1.2 * rows + 0.8)
         grid = figure.add_gridspec(rows, 1)
@@ -49,7 +53,10 @@ def plot_identification(fit: Findings) -> Figure:
             axes.append(figure.add_subplot(grid[n + 1], sharex=axes[0]))
             draw_modes(axes[-1], fit, part)
         axes[-1].set_xlabel(f"time (s), {rows_shown(fit, part)}")
-        draw_residuals(figure.add_subplot(grid[rows - 1]), fit)
+        draw_residuals(figure.add_subplot(grid[n + several + 1]), fit)
+        for i, name in enumerate(fit._recording.outputs[:tested]):
+            above, below = (figure.add_subplot(grid[rows - 2 * (tested - i) + k]) for k in (0, 1))
+            draw_validation(above, below, i, f"{name}, test", courses)
     return figure
 
 
@@ -124,17 +131,14 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
 def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
     """States as logged, or smoothed; a sample ahead; and simulated; all in the log's own units."""
     estimate, level, back = fit._estimate, fit._recording.level, np.linalg.pinv(fit.C)
-    theta = estimate.best.theta
-    if (log := estimate.of_outputs) is None:
-        layout = estimate.log.layout
-        constant = layout.constant_of(theta[: layout.size])
-        model = FittedModel(fit.plant, constant, estimate.log.sampling)
-        curves = part.output @ back.T, *model.forecast(part, fit.C)
-    else:
-        states, ahead, free = following(log, theta, part, estimate.window)
-        curves = np.where(fit.C.any(axis=0), part.output @ fit.C, states), ahead, free
+    own = fit._recording._replace(parts=(part,))
+    predictor = Predictor.of(estimate, fit.C, own)
+    logged, ahead = part.output @ back.T, predictor.ahead(0)
+    if (log := estimate.of_outputs) is not None:
+        states = following(log, estimate.best.theta, part, estimate.window).states
+        logged = np.where(fit.C.any(axis=0), part.output @ fit.C, states)
     at = 0.0 if level is None else back @ level.output
-    return tuple(at + curve for curve in curves)
+    return tuple(at + curve for curve in (logged, ahead, predictor.free_run(0).states))
 
 
 def draw_residuals(axes: Axes, fit: Findings) -> None:
@@ -211,6 +215,10 @@ def quick_figures(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
         "first row on with the inputs alone: noise of the plant drives the log away from it.",
         figure,
     )
+    if fit.validation is not None:
+        caption = "The log that was not identified, the model run with its inputs alone, and a row "
+        caption += f"ahead; below, the errors. {fit.validation.message}"
+        yield "validation", caption, plot_validation(fit.validation.outputs, fit.validation.courses)
     with _figure(1, 2.2) as (figure, (axes,)):
         draw_residuals(axes, fit)
     yield (

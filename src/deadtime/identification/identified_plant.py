@@ -21,6 +21,7 @@ from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Squares
 from deadtime.identification.process_models import Process, processes_of
 from deadtime.identification.residuals import ResidualTests
+from deadtime.identification.validation import Validation
 from deadtime.plant import OperatingPoint, SwitchedSystem, UncertainPlant
 from deadtime.switching import SwitchingModel
 
@@ -49,6 +50,8 @@ class Findings(Frozen):
     _C: SensorMatrix = field(repr=False)
     hidden: HiddenModes | None = None
     doubts: tuple[str, ...] = ()
+    validation: Validation | None = None
+    worse_than_constant: bool = False
     _rest: Rest | None = field(default=None, repr=False)
 
     @property

@@ -47,6 +47,7 @@ from deadtime.identification.process_models import (
     require_one_output,
 )
 from deadtime.identification.residuals import alternates
+from deadtime.identification.validation import NOT_LOGGED, log_to_compare
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,6 +72,7 @@ def identify(
     model: str | None = None,
     rest: bool | None = None,
     hold: str | None = None,
+    test: str | PathLike[str] | float | pd.DataFrame | Sequence | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
     r"""The maximum-likelihood plant of a log: matrices, delays and noise, with intervals.
@@ -123,6 +125,9 @@ def identify(
         linearly, as a sampled measurement of an analog input nearly does. By default they are taken
         as held, and this is tested; a linear input that is taken as held makes a delay half a
         period too short.
+    test : "half", float, path, DataFrame, or list of them, optional
+        Another log to validate the plant with, or the share of the log to hold out for that, of
+        every log its last rows; "half" is 0.5. The plant is identified from the rest.
     progress : callable, optional
         Called with a few words at every stage.
 
@@ -181,6 +186,9 @@ def identify(
     require_seconds(recording, high)
     require_causal(recording, (low, high), noise)
     require_one_output(model, recording.outputs)
+    if test is not None and numbers is not None:
+        raise ArgumentError(NOT_LOGGED)
+    recording, compared = log_to_compare(test, recording, high + recording.step, rest)
     if order is None:
         require_order_for(zeros, outputs, C)
     else:
@@ -232,6 +240,9 @@ def identify(
     if rest is None and disproved(fit._recording, fit._estimate.white, fit.plant.longest_delay):
         progress("looking again, as inputs before the log were others than its first")
         fit = from_recording(resting(recording, False))
+    if compared is not None:
+        progress(f"predicting the {compared.name}")
+    fit = fit.validated(compared)
     if model is None:
         return fit
     first = process_sentences(fit.processes, fit._recording, len(fit.C))

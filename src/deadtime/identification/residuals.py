@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import SensorMatrix, Squares
+from deadtime.identification.parameters import Squares
 from deadtime.identification.sampling import Sampling, known_ends, paths_of
 from deadtime.identification.transition import interpolation, plain_transitions
 from deadtime.plant import SwitchedSystem
@@ -80,10 +80,9 @@ class FittedModel(NamedTuple):
         self, recording: Recording, within: bool, roots: Squares
     ) -> list[Float[np.ndarray, "sample n"]]:
         """Of every part x_k less its prediction from x_{k−1}, whitened by the roots; else NaN."""
-        delays, residuals = self.plant.delays, []
+        residuals = []
         for part in recording.parts:
-            fed = self.sampling.fed(part, float(delays.max()), float(delays.min()))
-            k = np.flatnonzero(known_ends(part, within) & fed)
+            k = np.flatnonzero(known_ends(part, within) & self.fed(part))
             rest = part.output[k + 1] - self.one_step(part, k, part.output[k])
             rest /= np.sqrt((part.time[k + 1] - part.time[k]) / recording.step)[:, None]
             white = np.full(part.output.shape, np.nan)
@@ -93,24 +92,27 @@ class FittedModel(NamedTuple):
             residuals.append(white)
         return residuals
 
-    def forecast(
-        self, part: Part, C: SensorMatrix
-    ) -> tuple[Float[np.ndarray, "sample n"], Float[np.ndarray, "sample n"]]:
-        """States predicted one sample ahead, and simulated from the first known one; else NaN."""
-        plant, states = self.plant, part.output @ np.linalg.pinv(C).T
-        longest, shortest = float(plant.delays.max()), float(plant.delays.min())
-        k = np.flatnonzero(self.sampling.fed(part, longest, shortest))
-        ahead, free = np.full(states.shape, np.nan), np.full(states.shape, np.nan)
-        ahead[k + 1] = self.one_step(part, k, states[k])
-        forced = self.one_step(part, k, np.zeros((k.size, plant.states)))
-        Phi_at, _ = plain_transitions(plant.A, self.sampling.nodes)
-        over = interpolation(self.sampling.nodes, part.time[k + 1] - part.time[k])
-        Phi = np.einsum("kq,kqab->kab", over, Phi_at[part.mode[k]])
-        with np.errstate(all="ignore"):
-            for row, place in enumerate(k):
-                known = np.isfinite(free[place]).all()
-                free[place + 1] = Phi[row] @ (free[place] if known else states[place]) + forced[row]
-        return ahead, free
+    def fed(self, part: Part) -> Bool[np.ndarray, " period"]:
+        """The periods whose acting inputs are known."""
+        longest, shortest = float(self.plant.delays.max()), float(self.plant.delays.min())
+        return self.sampling.fed(part, longest, shortest)
+
+    def transitions(
+        self, part: Part
+    ) -> tuple[Float[np.ndarray, "period n n"], Float[np.ndarray, "period n"]]:
+        """Φ and the effect of inputs of every period, NaN where acting inputs are not known."""
+        k, n, nodes = np.flatnonzero(self.fed(part)), self.plant.states, self.sampling.nodes
+        count = part.time.size - 1
+        Phi, forced = np.full((count, n, n), np.nan), np.full((count, n), np.nan)
+        forced[k] = self.one_step(part, k, np.zeros((k.size, n)))
+        Phi_at, _ = plain_transitions(self.plant.A, nodes)
+        for start in range(0, k.size, _BLOCK):
+            own = k[start : start + _BLOCK]
+            over = interpolation(nodes, part.time[own + 1] - part.time[own])
+            for i in np.unique(part.mode[own]):
+                at = part.mode[own] == i
+                Phi[own[at]] = np.tensordot(over[at], Phi_at[i], 1)
+        return Phi, forced
 
 
 def judge_residuals(

@@ -12,6 +12,7 @@ from deadtime.base.files import replacing
 from deadtime.feedback import Law
 from deadtime.identification import Identification
 from deadtime.identification.identification_figure import figures_of
+from deadtime.identification.validation import Validation
 from deadtime.reports.report_folder import inlined, render
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 HEADINGS = ("parameter", "estimate", "lower 95 %", "upper 95 %")
 PROCESS_HEADINGS = ("process", "gain", "time constants", "dead time")
+VALIDATION_HEADINGS = ("fit, %", "free run", "a row ahead", "last value", "a constant")
 _NORMAL = 1.96  # deviations, on both sides of 95 %
 _NOTHING = 1e-3  # an estimate of noise below this share of its upper bound is undetermined
 
@@ -73,6 +75,15 @@ def interval_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
 def process_rows(fit: Identification) -> list[tuple[str, str, str, str]]:
     """Gain, time constants and dead time of every process, with 95 % intervals."""
     return [(one.label(fit.plant.modes), *one.cells) for one in fit.processes]
+
+
+def validation_rows(validation: Validation) -> list[tuple[str, ...]]:
+    """The fits in percent of every output, under `VALIDATION_HEADINGS`."""
+    figures = validation.free_run, validation.one_step, validation.last_value
+    return [
+        (name, *(f"{one:.1f}" if np.isfinite(one) else "" for one in each), "0")
+        for name, *each in zip(validation.outputs, *figures, strict=True)
+    ]
 
 
 def sampling_of(fit: Identification) -> str:
@@ -145,5 +156,7 @@ def identification_page(
         processes=process_rows(fit),
         headings=HEADINGS,
         rows=interval_rows(fit),
+        validation_headings=VALIDATION_HEADINGS,
+        validation=[] if fit.validation is None else validation_rows(fit.validation),
         command=command,
     )

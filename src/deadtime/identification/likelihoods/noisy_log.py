@@ -301,6 +301,14 @@ class NoisyLog(SensorLikelihood):
         given = zip(parts, starts, strict=True)
         return [self.embedding.initial(part.output, start) for part, start in given]
 
+    def determined(self, part: Part, start: Bool[np.ndarray, " sample"]) -> Bool[np.ndarray, " s"]:
+        """Whether the rows since the latest start determine a state: as many of each output."""
+        measured = np.isfinite(part.output)
+        before = np.cumsum(measured, axis=0) - measured
+        latest = np.maximum.accumulate(np.where(start, np.arange(start.size), 0))
+        lead = np.ones(len(self.C)) if self.embedding is None else np.array(self.embedding.order)
+        return ~start & (before - before[latest] >= lead).all(axis=1)
+
     def measured(self, starts: Starts) -> int:
         """The number of measurements in the likelihood."""
         every = sum(int(np.isfinite(part.output).sum()) for part in self.recording.parts)
@@ -351,27 +359,18 @@ _MOST = 10_000  # samples of a long log whose states are computed
 
 
 class Following(NamedTuple):
-    """States of a part: smoothed, predicted one sample ahead, and simulated from the first one.
-
-    NaN where they are not known yet.
-    """
+    """States of a part, smoothed and predicted one sample ahead; NaN where not known yet."""
 
     states: Float[np.ndarray, "sample n"]
     ahead: Float[np.ndarray, "sample n"]
-    free: Float[np.ndarray, "sample n"]
 
 
 def following(log: NoisyLog, vector: Vector, part: Part, window: Window) -> Following:
     own = replace(log, recording=log.recording._replace(parts=(part,)))
     (start,) = starts = own.starts(*window)
-    one_ahead, states, periods = own.filter(vector, starts).states(0)
-    known = ~start & (np.cumsum(own.initial(starts)[0].sum(axis=1)) >= log.layout.n)
-    ahead = np.where(known[:, None], one_ahead, np.nan)
-    free = np.full(states.shape, np.nan)
-    for k in np.flatnonzero(~start).tolist():
-        before = free[k - 1] if np.isfinite(free[k - 1]).all() else states[k - 1]
-        free[k] = periods.Phi[periods.kind[k]] @ before + periods.added[k]
-    return Following(np.where(known[:, None], states, np.nan), ahead, free)
+    ahead, states, _ = own.filter(vector, starts).states(0)
+    known = log.determined(part, start)[:, None]
+    return Following(np.where(known, states, np.nan), np.where(known, ahead, np.nan))
 
 
 def largest_of(log: NoisyLog, vector: Vector, window: Window) -> Float[np.ndarray, " n"]:

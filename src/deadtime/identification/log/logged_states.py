@@ -142,10 +142,10 @@ def _rests(part: Part) -> bool:
     if rows == len(part.input) or (usual and stays.size >= _FEW):
         return False
     own = part.output[: max(rows + 1, _AT_LEAST)]
-    return all(_still(own[:, a], part.output[:, a]) for a in range(part.output.shape[1]))
+    return all(still(own[:, a], part.output[:, a]) for a in range(part.output.shape[1]))
 
 
-def _still(x: Float[np.ndarray, " row"], every: Float[np.ndarray, " sample"]) -> bool:
+def still(x: Float[np.ndarray, " row"], every: Float[np.ndarray, " sample"]) -> bool:
     """Whether a state is constant in some rows up to noise: by the means of their two halves."""
     x, every = x[np.isfinite(x)], every[np.isfinite(every)]
     if x.size < 2:

@@ -31,17 +31,18 @@ class LogTable(NamedTuple):
         return f"{self.name}, {self.row} {index + self.first}"
 
 
-def table_of(log: Any, number: int) -> LogTable:
+def table_of(log: Any, number: int, argument: str = "log") -> LogTable:
     import pandas as pd
 
     if isinstance(log, pd.DataFrame):
-        name = "log" if number == 0 else f"log[{number}]"
+        name = argument if number == 0 else f"{argument}[{number}]"
         return LogTable(log.rename(columns=lambda c: str(c).strip()), name, "row", 0)
     try:
         source = Path(log)
     except TypeError:
         raise ArgumentError(
-            f"log must be the path of a CSV file or a pandas DataFrame, got {type(log).__name__}."
+            f"{argument} must be the path of a CSV file or a pandas DataFrame, got "
+            f"{type(log).__name__}."
         ) from None
     frame = read_table(source)
     return LogTable(frame.rename(columns=lambda c: str(c).strip()), str(source), "line", 2)
@@ -169,15 +170,7 @@ def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
     """The number of every mode by its label in the logs."""
     if column is None:
         return {"mode 0": 0}
-    labels: set[str] = set()
-    for table in tables:
-        missing = np.flatnonzero(table.frame[column].isna())
-        if missing.size:
-            raise ArgumentError(
-                f"{table.place(int(missing[0]))}: {column} must be there in every row, got none: "
-                "fill it with the mode that was active."
-            )
-        labels |= {label(value) for value in table.frame[column].unique()}
+    labels = set().union(*_visited(tables, column))
     if not all(name.isdecimal() for name in labels):
         return {name: i for i, name in enumerate(sorted(labels))}
     numbers = sorted(map(int, labels))
@@ -188,6 +181,36 @@ def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
             "it. Log a stay in it, or number the modes without a gap."
         )
     return {str(i): place for place, i in enumerate(numbers)}
+
+
+def labels_among(
+    tables: list[LogTable], column: str | None, modes: tuple[str, ...]
+) -> dict[str, int]:
+    """The number of every mode of a fit by its label; logs that visit others are refused."""
+    labels = {name: i for i, name in enumerate(modes)}
+    visited = [] if column is None else _visited(tables, column)
+    for table, own in zip(tables, visited, strict=False):
+        if unknown := sorted(own - labels.keys()):
+            raise ArgumentError(
+                f"{table.name}: {column} must be one of the modes that were identified, "
+                f"{', '.join(modes)}, got {brief(unknown[0])}: nothing is known of it. Identify "
+                "from a log that visits it, or leave those rows out."
+            )
+    return labels
+
+
+def _visited(tables: list[LogTable], column: str) -> list[set[str]]:
+    """The labels of the modes in every table, which are required in every row."""
+    every = []
+    for table in tables:
+        missing = np.flatnonzero(table.frame[column].isna())
+        if missing.size:
+            raise ArgumentError(
+                f"{table.place(int(missing[0]))}: {column} must be there in every row, got none: "
+                "fill it with the mode that was active."
+            )
+        every.append({label(value) for value in table.frame[column].unique()})
+    return every
 
 
 def absent_modes(

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from deadtime.identification.log.read_tables import (
     absent_modes,
     chosen_columns,
     label,
+    labels_among,
     labels_of,
     mode_column,
     numeric_column,
@@ -53,6 +56,14 @@ class Part(NamedTuple):
         columns = (column[own] for column in self[:4])
         return Part(*columns, rests=self.rests and bool(first.all()))
 
+    def held_out(self, first: int, before: float) -> Part:
+        """The rows from `first` on, and with empty outputs those of the seconds before."""
+        oldest = np.searchsorted(self.time, self.time[first] - before, side="right") - 1
+        late = self.rows(slice(max(int(oldest), 0), None))
+        output = late.output.copy()
+        output[: late.time.size - self.time.size + first] = np.nan
+        return late._replace(output=read_only(output))
+
     def on_a_grid(self, step: float, hold: int) -> Part:
         """The part resampled on an even grid, states by linear interpolation."""
         time = self.time[0] + step * np.arange(int((self.time[-1] - self.time[0]) / step) + 1)
@@ -72,6 +83,14 @@ class Level(NamedTuple):
     input: Float[np.ndarray, " m"]
 
 
+class LogColumns(NamedTuple):
+    """The columns of a log's tables: of the mode, if it was logged, outputs and inputs."""
+
+    mode: str | None
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+
 class Recording(NamedTuple):
     """All logs of one plant.
 
@@ -83,6 +102,7 @@ class Recording(NamedTuple):
     level : the values subtracted from all columns; None if plants rest at 0
     constants : names and values of inputs that never move and are left out
     hold : the degree of the inputs between samples, 0 where they are held, 1 where linear
+    columns, logs : the columns that were read, and the names of the logs
     """
 
     parts: tuple[Part, ...]
@@ -96,6 +116,8 @@ class Recording(NamedTuple):
     level: Level | None = None
     constants: tuple[tuple[str, float], ...] = ()
     hold: int = 0
+    columns: LogColumns = LogColumns(None, (), ())
+    logs: tuple[str, ...] = ()
 
     def about(self, level: Level) -> Recording:
         """The recording with a level subtracted."""
@@ -115,6 +137,55 @@ class Recording(NamedTuple):
     @property
     def samples(self) -> int:
         return sum(part.time.size for part in self.parts)
+
+    @property
+    def by_log(self) -> list[tuple[Part, ...]]:
+        """The parts of every log."""
+        log = np.maximum(np.cumsum([not part.after_gap for part in self.parts]) - 1, 0)
+        every = zip(log, self.parts, strict=True)
+        return [tuple(part for _, part in own) for _, own in groupby(every, itemgetter(0))]
+
+    def divided(self, share: float, before: float) -> tuple[Recording, Recording]:
+        """The logs without, and with only, the last share of the rows of each.
+
+        The rows of the last `before` seconds ahead of a held-out part stay in it with empty
+        outputs, for their inputs still act there. Its `constants` are those of the first part that
+        have another value in it.
+        """
+        kept, held = [], []
+        for parts in self.by_log:
+            cut = round((1.0 - share) * sum(part.time.size for part in parts))
+            begun = False
+            for part in parts:
+                if cut > 1:
+                    kept.append(part.rows(slice(cut))._replace(after_gap=part.after_gap))
+                if cut < part.time.size - 1:
+                    late = part.held_out(max(cut, 0), before)
+                    held.append(late._replace(after_gap=begun))
+                    begun = True
+                cut -= part.time.size
+        if not kept or not held:
+            raise ArgumentError(
+                f"test must leave at least 2 rows of a log on either side, got {share:g} of "
+                f"{self.samples} rows: log for longer, or give a second log."
+            )
+        columns = self.columns.inputs
+        first, moving, constants = _moving(tuple(kept), columns)
+        own = [columns.index(name) for name in moving]
+        changed = [
+            (name, value)
+            for name, value in constants
+            for part in held
+            if (np.abs(part.input[:, columns.index(name)] - value) > 0.0).any()
+        ]
+        both = self._replace(
+            parts=first,
+            inputs=tuple(self.inputs[j] for j in own),
+            constants=self.constants + constants,
+            columns=self.columns._replace(inputs=moving),
+        )
+        late = tuple(part._replace(input=read_only(part.input[:, own])) for part in held)
+        return both, both._replace(parts=late, constants=tuple(dict.fromkeys(changed)))
 
     def stretches(self, most: int, lag: int) -> Recording:
         """The recording, or evenly spread stretches of a longer one with about `most` samples.
@@ -164,20 +235,13 @@ def read_recording(
     check : called with the logs, the columns of outputs and of inputs, the names of logs, and a
         function that names a row of a log
     """
-    given = list(logs) if isinstance(logs, list | tuple) else [logs]
-    if not given:
-        raise ArgumentError("log must be a path, a table or a list of them, got an empty list.")
-    tables = [table_of(log, number) for number, log in enumerate(given)]
+    tables = _tables(logs, "log")
     column = mode_column(tables, modes)
     measured = "states" if letter == "x" else "outputs"
     names = chosen_columns(tables[0], letter, states, measured)
     acting = chosen_columns(tables[0], "u", inputs, "inputs")
     _require_one_role({measured: names, "inputs": acting})
-    for table in tables:
-        if len(table.frame) < 3:
-            raise ArgumentError(
-                f"{table.name} must have at least 3 rows, got {len(table.frame)}: log for longer."
-            )
+    _require_rows(tables)
     labels = labels_of(tables, column)
     parts = tuple(_part(table, names, acting, column, labels) for table in tables)
     parts, acting, constants = _moving(parts, acting)
@@ -199,7 +263,55 @@ def read_recording(
         logged=column is not None,
         absent=absent_modes(tables, column, labels),
         constants=constants,
+        columns=LogColumns(column, names, acting),
+        logs=tuple(f"{t.name}[0]" if t.name == "log" and tables[1:] else t.name for t in tables),
     )
+
+
+def read_beside(logs: Any, recording: Recording, argument: str) -> Recording:
+    """Other logs of the plant of a recording: of its columns and modes; inputs may be constant.
+
+    Its `constants` are those inputs that had another value in the recording.
+    """
+    tables = _tables(logs, argument)
+    column, names, acting = recording.columns
+    mode_column(tables, column)
+    labels = labels_among(tables, column, recording.modes)
+    _require_rows(tables)
+    parts = _split_at_gaps(tuple(_part(one, names, acting, column, labels) for one in tables))
+    moved = tuple(
+        (name, value)
+        for name, value in recording.constants
+        for table in tables
+        if name in table.frame.columns and (numeric_column(table, name) != value).any()
+    )
+    step, even = _period(parts)
+    return recording._replace(
+        parts=parts,
+        step=step,
+        even=even,
+        absent=(),
+        level=None,
+        constants=tuple(dict.fromkeys(moved)),
+        logs=tuple(table.name for table in tables),
+    )
+
+
+def _tables(logs: Any, argument: str) -> list[LogTable]:
+    given = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not given:
+        raise ArgumentError(
+            f"{argument} must be a path, a table or a list of them, got an empty list."
+        )
+    return [table_of(log, number, argument) for number, log in enumerate(given)]
+
+
+def _require_rows(tables: list[LogTable]) -> None:
+    for table in tables:
+        if len(table.frame) < 3:
+            raise ArgumentError(
+                f"{table.name} must have at least 3 rows, got {len(table.frame)}: log for longer."
+            )
 
 
 def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
