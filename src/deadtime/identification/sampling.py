@@ -19,7 +19,7 @@ x_{k+1}, x_k and the inputs of all lags. A likelihood has a kink at every whole 
 and ∂x_{k+1}/∂D_j = −Σ_c Φ(t_{k+1} − c) b_j Δu_j(c). Φ and W of the many times are interpolated
 between nodes, to round-off, so that all this is a regression again, on the weights of the nodes.
 
-Lost rows divide a log into parts (`Recording`).
+Lost rows are rows of NaN, and long gaps divide a log into parts (`Recording`).
 """
 
 from __future__ import annotations
@@ -285,7 +285,7 @@ class EvenSampling(Sampling):
 
         def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> FilterPeriods:
             before = np.maximum(rows - 1, 0)
-            mode = part.mode[before]
+            mode = np.maximum(part.mode[before], 0)  # of lost rows, where filters start anew
             z = np.nan_to_num(acting_evenly(part, before, reads[mode], layout.constant))
             added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, by_P.shape[1], n))
             for i in np.unique(mode):
@@ -362,7 +362,7 @@ class UnevenSampling(Sampling):
         forced = [(over[i].W @ B[i], over[i].W_by_A @ B[i], over[i].Phi @ B[i]) for i in modes]
 
         def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
-            mode = part.mode[np.maximum(rows - 1, 0)]
+            mode = np.maximum(part.mode[np.maximum(rows - 1, 0)], 0)
             interpolated = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
             added = np.zeros((rows.size, n))
             by_added = np.zeros((rows.size, (n * (n + acting) + m) * slopes, n))
@@ -403,7 +403,7 @@ class UnevenSampling(Sampling):
 def known_ends(part: Part, within: bool) -> Bool[np.ndarray, " period"]:
     """Whether states at both ends of a period are known, and the mode in it: see `Sampling`."""
     known = np.asarray(np.isfinite(part.output).all(axis=1))
-    good = known[:-1] & known[1:]
+    good = known[:-1] & known[1:] & (part.mode[:-1] >= 0)
     return good & (part.mode[:-1] == part.mode[1:]) if within else good
 
 
@@ -418,14 +418,14 @@ def usable_lags(part: Part, within: bool, low: int, high: int) -> Int[np.ndarray
 
 
 def fed(part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " period"]:
-    """The periods whose acting inputs are known, for delays in a range, seconds."""
+    """The periods whose mode and acting inputs are known, for delays in a range, seconds."""
     t = part.time
     lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
     slack = _ROUND_OFF * float(np.median(np.diff(t)))
     oldest = np.searchsorted(t, t[:-1] - longest + slack, side="right") - 1
     newest = np.searchsorted(t, t[1:] - shortest - slack, side="left")
     newest = np.maximum(np.minimum(newest, t.size), oldest + 1)
-    known = lost[newest] == lost[np.maximum(oldest, 0)]
+    known = (lost[newest] == lost[np.maximum(oldest, 0)]) & (part.mode[:-1] >= 0)
     return known if part.rests else known & (oldest >= 0)
 
 

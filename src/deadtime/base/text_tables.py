@@ -1,0 +1,373 @@
+"""Tables in text files of any program: encoding, separator, header and units are recognised.
+
+The separator is the first of ; tab | , blanks that divides most lines into the same number of
+cells, two at the least, beneath a header: a line of so many cells without numbers. Lines before the
+header and comments are left out, and so are rows of units beneath it, which hold text alone. All
+that differs from a plain CSV file is listed in `read_as`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from os import PathLike
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.base.errors import ArgumentError
+from deadtime.base.files import read_bytes, shown
+
+_MOST_BYTES = 500_000_000
+_LOOKED_AT = 400  # lines that a separator and a header are found in
+_MOST_UNITS = 3  # rows beneath a header: units, descriptions, types
+_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
+_COMMENT = re.compile(r"\s*(?:#(?!N/A|NUM!|VALUE!|DIV/0!|REF!)|%|//)\s*(.*)", re.IGNORECASE)
+_POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+_COMMA = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?")
+_STAMP = re.compile(r"\d{1,4}[-/.:]\w{1,3}[-/.:]?\d")
+_CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f]")
+_MARKS = (  # the longer ones first: UTF-32 begins as UTF-16 does
+    (b"\xff\xfe\0\0", "utf-32"),
+    (b"\0\0\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+    (b"\xef\xbb\xbf", "utf-8-sig"),
+)
+_THOUSANDS = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?:(?:,\d{3}){2,}|(?:,\d{3})+\.\d+|(?:\.\d{3}){2,}|(?:\.\d{3})+,\d+"
+    r"|(?:[ '’\u00a0\u202f]\d{3})+(?:[.,]\d+)?)"
+)
+_PERHAPS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # a thousand, or three decimals
+# Texts that historians and spreadsheets write in place of a number.
+_MISSING = frozenset(
+    (
+        *("nan", "null", "none", "na", "n/a", "-", "--", "---", "?", "bad", "error", "missing"),
+        *("#n/a", "#num!", "#value!", "#ref!", "#div/0!", "invalid", "bad data", "bad input"),
+        *("bad quality", "bad total", "i/o timeout", "no data", "no sample", "no result"),
+        *("no value", "scan off", "scan timeout", "pt created", "calc failed", "comm fail"),
+        *("intf shut", "not connect", "configure", "shutdown", "arc off-line", "equip fail"),
+    )
+)
+
+
+class TextTable(NamedTuple):
+    """The cells of a file, column by column, without blanks around them.
+
+    name : of the file, for messages
+    columns : cells by the name of their column
+    lines : of every row, as an editor counts them
+    decimal : "." or ","
+    read_as : phrases on what differs from a plain CSV file
+    """
+
+    name: str
+    columns: dict[str, list[str]]
+    lines: list[int]
+    decimal: str = "."
+    read_as: tuple[str, ...] = ()
+
+    def place(self, row: int) -> str:
+        return f"{self.name}, line {self.lines[row]}"
+
+    def rows(self, kept: Sequence[int]) -> TextTable:
+        columns = {name: [cells[k] for k in kept] for name, cells in self.columns.items()}
+        return self._replace(columns=columns, lines=[self.lines[k] for k in kept])
+
+
+def read_text_table(
+    path: str | PathLike[str],
+    sep: str | None = None,
+    decimal: str | None = None,
+    wanted: Sequence[str] = (),
+) -> TextTable:
+    """The table in a text file.
+
+    Parameters
+    ----------
+    path : path
+        The file: UTF-8, UTF-16 or, as a last resort, Windows-1252.
+    sep, decimal : str, optional
+        The separator of columns and the sign of decimals, as in pandas.read_csv; found by default.
+    wanted : sequence of str
+        Names of which the header has one, which decide between two lines that may be the header.
+
+    Raises
+    ------
+    ArgumentError
+        If the file is no table; the message names the line and what to do.
+    """
+    name = shown(path)
+    if decimal not in (None, ".", ","):
+        raise ArgumentError(f'decimal, --decimal, must be "." or ",", got {decimal!r}.')
+    text, encoding = _decoded(name, read_bytes(path, _MOST_BYTES))
+    lines, comments = [], []
+    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1):
+        if match := _COMMENT.match(line):
+            comments.append(_Line(number, match[1]))
+        elif line.strip():
+            lines.append(_Line(number, line))
+    if lines and (match := re.fullmatch(r"\s*sep=(.)\s*", lines[0].text)):  # Excel's own line
+        sep = sep or match[1]
+        del lines[0]
+    if not lines:
+        raise ArgumentError(f"{name} is no CSV table with one header line: it is empty.")
+    before, (header, *rows), sep = _divided(name, sep, lines, comments, wanted)
+    names, last = _names(header, rows)
+    width, units = len(names), _units([row.cells for row in rows[: 1 + _MOST_UNITS]])
+    said = [*encoding]
+    above = [one.number for one in comments] + [row.number for row in before]
+    if above := sorted(number for number in above if number < header.number):
+        said.append(f"{_listed('line', above)} before the header left out")
+    if units:
+        said.append(f"{_listed('line', [row.number for row in rows[:units]])} (units) left out")
+    if last:
+        said.append("separators at the ends of lines ignored")
+    rows = rows[units:]
+    whole = len(rows) < 2 or len(rows[-1].cells) >= width or len(rows[-2].cells) < width
+    if not (whole or text.endswith(("\n", "\r"))):
+        said.append(f"line {rows[-1].number}, cut short, left out")
+        rows = rows[:-1]
+    for number, cells in rows:
+        if any(cells[width:]):
+            raise ArgumentError(
+                f"{name}, line {number} has {len(cells)} cells, and the header, line "
+                f"{header.number}, has {width} names: name every column. Numbers with decimal "
+                "commas need another separator of columns, such as semicolons."
+            )
+    columns = {
+        one: [row.cells[i] if i < len(row.cells) else "" for row in rows]
+        for i, one in enumerate(names)
+    }
+    table = TextTable(name, columns, [row.number for row in rows])
+    sign = _decimal_sign(table, sep) if decimal is None else decimal
+    form = [] if sep == "," else [f"columns separated by {_SEPARATORS.get(sep, repr(sep))}"]
+    form += ["decimal commas"] if sign == "," else []
+    phrases = [", ".join(form), *said] if form else said
+    return table._replace(decimal=sign, read_as=tuple(phrases))
+
+
+def numbers_in(
+    cells: Sequence[str], decimal: str
+) -> tuple[Float[np.ndarray, " row"], dict[str, int], int | None]:
+    """The numbers in cells, NaN for missing ones; how often each text stood for one; a bad row.
+
+    Examples
+    --------
+    >>> numbers_in(["1,5", "Bad", "", "-2"], ",")
+    (array([ 1.5,  nan,  nan, -2. ]), {'Bad': 1}, None)
+    """
+    values, missing = np.full(len(cells), np.nan), Counter()
+    for row, cell in enumerate(cells):
+        if not cell:
+            continue
+        text = cell.replace(",", ".") if decimal == "," and "." not in cell else cell
+        if _POINT.fullmatch(text):
+            values[row] = float(text.replace("d", "e").replace("D", "e"))
+        elif cell.lower() in _MISSING:
+            missing[cell] += 1
+        else:
+            return values, missing, row
+    return values, missing, None
+
+
+def looks_numeric(cell: str) -> bool:
+    """Whether a cell is a number in some notation."""
+    return bool(_POINT.fullmatch(cell) or _COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell))
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell is empty or one of the texts for no value."""
+    return not cell or cell.lower() in _MISSING
+
+
+def thousands_in(cell: str) -> bool:
+    """Whether a cell is a number whose thousands are separated."""
+    return bool(_THOUSANDS.fullmatch(cell) or _PERHAPS.fullmatch(cell))
+
+
+class _Line(NamedTuple):
+    number: int
+    text: str
+
+
+class _Row(NamedTuple):
+    number: int
+    cells: list[str]
+
+
+def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
+    """The text of a file, and a phrase on its encoding unless it is UTF-8."""
+    start = content[:1000]
+    marked = [code for mark, code in _MARKS if content.startswith(mark)]
+    odd, even = start[1::2].count(0), start[::2].count(0)
+    if marked or max(odd, even) > len(start) // 4:
+        code = marked[0] if marked else "utf-16-le" if odd > even else "utf-16-be"
+        said = [] if code == "utf-8-sig" else [f"encoding {code[:6].upper()}"]
+    else:
+        code, said = "utf-8", []
+    try:
+        text = content.decode(code)
+    except UnicodeDecodeError:
+        if code != "utf-8":
+            called = code.removesuffix("-sig").upper()
+            raise ArgumentError(f"{name} is not {called} text: save it as UTF-8.") from None
+        text = content.decode("cp1252", errors="replace")
+        said = ["encoding Windows-1252, as it is not UTF-8"]
+    if _CONTROL.search(text):
+        raise ArgumentError(f"{name} is no text: save it as a CSV file in UTF-8.")
+    return text, said
+
+
+def _cells(name: str, lines: Sequence[_Line], sep: str) -> list[_Row]:
+    """The cells of lines."""
+    if sep == " ":
+        return [_Row(line.number, line.text.split()) for line in lines]
+    reader = csv.reader((line.text for line in lines), delimiter=sep, skipinitialspace=sep != "\t")
+    rows = []
+    try:
+        for cells in reader:
+            number = lines[reader.line_num - 1].number
+            rows.append(_Row(number, [cell.strip() for cell in cells]))
+    except csv.Error as error:
+        number = lines[min(reader.line_num, len(lines) - 1)].number
+        raise ArgumentError(f"{name}, line {number}: {error}.") from None
+    return rows
+
+
+def _divided(
+    name: str,
+    sep: str | None,
+    lines: list[_Line],
+    comments: list[_Line],
+    wanted: Sequence[str],
+) -> tuple[list[_Row], list[_Row], str]:
+    """Rows before the header, the rows from it on, and the separator."""
+    given = [" " if sep in (r"\s+", "whitespace") else sep] if sep else list(_SEPARATORS)
+    unnamed = None
+    for one in given:
+        if len(one) != 1:
+            raise ArgumentError(
+                r'sep, --sep, must be one character, such as ";", or "\s+" for blanks, got '
+                f"{one!r}."
+            )
+        some = _cells(name, lines[:_LOOKED_AT], one)
+        counts = Counter(_width(row.cells) for row in some[len(some) // 2 :])
+        width = max(counts, key=lambda size: (counts[size], size))
+        if width < 2 and not (sep and len(some) > 1):
+            continue
+        header = _header(some, width, wanted)
+        if header is not None:
+            return some[:header], _cells(name, lines[header:], one), one
+        # NumPy and MATLAB write names as the last comment before the numbers.
+        above = [line for line in comments if line.number < some[0].number][-1:]
+        if above and len(called := _cells(name, above, one)[0].cells) == width:
+            return [], [_Row(above[0].number, called), *_cells(name, lines, one)], one
+        first = next(row for row in some if _width(row.cells) == width)
+        if unnamed is None and counts[width] > len(some) // 4 and width > 1:
+            unnamed = first.number
+    if unnamed is not None and any(map(looks_numeric, _cells(name, lines[:1], given[0])[0].cells)):
+        raise ArgumentError(
+            f"{name} has no header: name the columns in its first line, such as t,x1,u1, before "
+            f"the numbers of line {unnamed}."
+        )
+    one = sep or ","
+    return [], _cells(name, lines, one), one
+
+
+def _width(cells: list[str]) -> int:
+    """The number of cells, without an empty last one."""
+    return len(cells) - (len(cells) > 1 and not cells[-1])
+
+
+def _header(rows: list[_Row], width: int, wanted: Sequence[str]) -> int | None:
+    """The first row that may be a header, one with a wanted name if there is one."""
+    may = []
+    for place, (_, cells) in enumerate(rows):
+        if _width(cells) != width and len(cells) != width and len(cells) != width + 1:
+            continue
+        if any(looks_numeric(cell) or _STAMP.search(cell) for cell in cells):
+            break
+        if 2 * sum(map(bool, cells)) >= width:
+            may.append(place)
+    named = [place for place in may if set(wanted) & set(rows[place].cells)]
+    return next(iter(named or may), None)
+
+
+def _names(header: _Row, rows: list[_Row]) -> tuple[list[str], bool]:
+    """Names of columns, each its own; and whether lines end with a separator that ends no cell."""
+    cells, longest = list(header.cells), max((len(row.cells) for row in rows), default=0)
+    last = longest >= len(cells) + (bool(cells[-1]))
+    last &= not any(any(row.cells[len(cells) - (not cells[-1]) :]) for row in rows)
+    if last and not cells[-1]:
+        cells = cells[:-1]
+    names: list[str] = []
+    for place, cell in enumerate(cells):
+        name, count = cell or f"column {place + 1}", 0
+        while name in names:
+            count += 1
+            name = f"{cell}.{count}"
+        names.append(name)
+    return names, last
+
+
+def _units(rows: list[list[str]]) -> int:
+    """How many rows beneath a header hold texts alone where a later one has numbers."""
+    for count, cells in enumerate(rows):
+        if any(looks_numeric(cell) or _STAMP.search(cell) for cell in cells):
+            return count
+        if not any(cells) or all(map(is_missing, cells)):
+            return 0
+    return 0
+
+
+def _decimal_sign(table: TextTable, sep: str) -> str:
+    """The sign of decimals in a table; refuses signs of thousands."""
+    commas, sure, point = 0, False, None
+    for column, cells in table.columns.items():
+        own = [(row, cell) for row, cell in enumerate(cells) if "," in cell]
+        found = [(row, cell) for row, cell in own if _COMMA.fullmatch(cell)]
+        commas += len(found)
+        sure |= any(not _PERHAPS.fullmatch(cell) for _, cell in found)
+        # Thousands have a sign in every number that has them.
+        sure |= bool(found) and any(cell.isdecimal() and len(cell) > 3 for cell in cells)
+        if point is None and not found:
+            decimals = (
+                row for row, cell in enumerate(cells) if "." in cell and _POINT.fullmatch(cell)
+            )
+            point = next(((row, column) for row in decimals), None)
+    if not commas:
+        return "."
+    if point is not None:
+        row, column = point
+        raise ArgumentError(
+            f"{table.name} has numbers with decimal commas and, in column {column}, line "
+            f'{table.lines[row]}, with points: write all alike, or say decimal=",", --decimal ",", '
+            'or decimal=".", --decimal ., for those of the columns that are used.'
+        )
+    if not sure:
+        raise ArgumentError(
+            f"{table.name} has numbers such as 1,234, of which the comma may separate thousands or "
+            'decimals: say decimal=",", --decimal ",", for decimals; write numbers without signs '
+            "of thousands."
+        )
+    return ","
+
+
+def _listed(noun: str, numbers: Sequence[int]) -> str:
+    """Line numbers in words.
+
+    Examples
+    --------
+    >>> _listed("line", [2]), _listed("line", [1, 2, 3]), _listed("line", [1, 3])
+    ('line 2', 'lines 1 to 3', 'lines 1, 3')
+    """
+    if len(numbers) == 1:
+        return f"{noun} {numbers[0]}"
+    if numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"{noun}s {numbers[0]} to {numbers[-1]}"
+    shown_ones = ", ".join(map(str, numbers[:5]))
+    return f"{noun}s {shown_ones}{', …' if len(numbers) > 5 else ''}"

@@ -1,0 +1,137 @@
+"""The even grid of rows: times that a coarse clock rounded, and rows that were lost.
+
+**Rounded times.** If all times are multiples of a resolution r, and there are a and h with
+
+    |t_k − a − h n_k| ≤ r/2    for all rows, n_k their places on the grid,
+
+then rounding explains why they are uneven, and rows are taken to lie on the grid. Of jitter beyond
+r/2 no such a and h exist. h is that of least squares if it satisfies this, else of the smallest
+largest error, which is a linear program over the corners of the convex hull of (k, t_k).
+
+**Lost rows** of an even log become rows of which nothing is known. So they cost the periods that
+read them, and no others. A long gap begins a new part instead, as all inputs before it are too old.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from deadtime.identification.log.recording import Part
+
+_RESOLUTIONS = [10.0**-k * one for k in range(-1, 7) for one in (6.0, 5.0, 3.0, 2.0, 1.0)]
+_FEWEST = 20  # rows: some grid is near enough to fewer
+_ROUND_OFF = 1e-6  # of a resolution
+_FINE = 0.01  # of a period: a resolution that hardly matters
+_LOST = 1.5  # of a period: a longer step has lost rows
+_ON_GRID = 0.1  # of a period: a gap that is no more off a whole number of periods stays on the grid
+_LONG = 100  # periods: a longer gap begins a new part
+
+
+class RowGrid(NamedTuple):
+    """Times on a grid, seconds, its period, and the resolution of the clock."""
+
+    seconds: Float[np.ndarray, " row"]
+    step: float
+    resolution: float
+
+
+def snapped(seconds: Float[np.ndarray, " row"]) -> RowGrid | None:
+    """The even grid of times that were rounded; None if rounding does not explain them.
+
+    Examples
+    --------
+    >>> grid = snapped(np.round(np.arange(90) / 30.0, 2))
+    >>> grid.resolution, round(grid.step, 5)
+    (0.01, 0.03333)
+    """
+    moves = np.diff(seconds)
+    if seconds.size < _FEWEST or (moves < 0.0).any() or not moves.max() > moves.min():
+        return None
+    usual = moves[moves < _LOST * np.median(moves)] if np.median(moves) > 0.0 else moves
+    h = float(usual.mean())
+    even = np.abs(usual - h).max() <= _FINE * h
+    resolution = _resolution(seconds)
+    if even or resolution is None or resolution < _FINE * h:
+        return None
+    places = np.arange(seconds.size, dtype=float)
+    if (moves > 0.0).all():
+        places[1:] = np.cumsum(np.maximum(np.round(moves / h), 1.0))
+    reach = (0.5 + _ROUND_OFF) * resolution
+    design = np.column_stack((np.ones(places.size), places))
+    a, h = np.linalg.lstsq(design, seconds, rcond=None)[0]
+    if np.abs(seconds - a - h * places).max() > reach:
+        a, h = np.array((a, h)) + _nearest(places, seconds - a - h * places)
+        if np.abs(seconds - a - h * places).max() > reach:
+            return None
+    return RowGrid(a + h * places, float(h), resolution)
+
+
+def _resolution(seconds: Float[np.ndarray, " row"]) -> float | None:
+    """The largest unit of which all times are multiples."""
+    for one in sorted(_RESOLUTIONS, reverse=True):
+        counts = seconds / one
+        slack = _ROUND_OFF + 4.0 * np.finfo(float).eps * np.abs(counts).max()
+        if np.abs(counts - np.round(counts)).max() <= slack:
+            return one
+    return None
+
+
+def _nearest(
+    places: Float[np.ndarray, " row"], y: Float[np.ndarray, " row"]
+) -> Float[np.ndarray, " ab"]:
+    """a and b with the least max |y − a − b n|."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull
+
+    unit = max(float(np.abs(y).max()), 1e-300), places[-1]
+    points = np.column_stack((places / unit[1], y / unit[0]))
+    corner = points[ConvexHull(points).vertices]
+    n, value = corner.T
+    one = np.ones(n.size)
+    above = np.vstack((np.column_stack((-one, -n, -one)), np.column_stack((one, n, -one))))
+    free = [(None, None)] * 2
+    best = linprog([0, 0, 1], above, np.concatenate((-value, value)), bounds=[*free, (0, None)])
+    return np.array([best.x[0] * unit[0], best.x[1] * unit[0] / unit[1]])
+
+
+def split_at_gaps(
+    part: Part, step: float, gaps: Bool[np.ndarray, " move"] | None = None
+) -> list[Part]:
+    """A part divided where rows are lost, or at other gaps; inputs are not known there."""
+    gaps = np.diff(part.time) > _LOST * step if gaps is None else gaps
+    rows = np.split(np.arange(part.time.size), np.flatnonzero(gaps) + 1)
+    return [
+        part.rows(own)._replace(after_gap=part.after_gap or bool(own[0]))
+        for own in rows
+        if own.size > 1
+    ]
+
+
+def with_lost_rows(part: Part, step: float, several: bool) -> list[Part]:
+    """An even part with a row of NaN for each lost row, divided at long gaps.
+
+    several : whether there are several modes, so that the mode of a lost row is unknown, −1
+    """
+    moves = np.diff(part.time) / step
+    counts = np.where(moves > _LOST, np.round(moves), 1.0)
+    off_grid = (moves > _LOST) & (np.abs(moves - counts) > _ON_GRID)
+    pieces = split_at_gaps(part, step, off_grid | (counts > _LONG))
+    return [_spread(piece, step, several) for piece in pieces]
+
+
+def _spread(part: Part, step: float, several: bool) -> Part:
+    """A part with rows of NaN on the grid between its rows."""
+    counts = np.maximum(np.round(np.diff(part.time) / step), 1.0).astype(int)
+    at = np.concatenate(([0], np.cumsum(counts)))
+    size = int(at[-1]) + 1
+    if size == at.size:
+        return part
+    time = np.interp(np.arange(size), at, part.time)
+    output = np.full((size, part.output.shape[1]), np.nan)
+    u = np.full((size, part.input.shape[1]), np.nan)
+    mode = np.full(size, -1 if several else 0, np.int64)
+    output[at], u[at], mode[at] = part.output, part.input, part.mode
+    return part._replace(time=time, output=output, input=u, mode=mode)
