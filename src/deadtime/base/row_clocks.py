@@ -126,19 +126,21 @@ def require_rising(
 
     same : whether two rows have the same cells; shown : cells of the times
     """
-    kept = [0] if len(seconds) else []
-    for row in range(1, len(seconds)):
+    if (seconds[1:] > seconds[:-1]).all():
+        return list(range(len(seconds)))
+    kept, times = [0], seconds.tolist()
+    for row in range(1, len(times)):
         last = kept[-1]
-        if seconds[row] > seconds[last]:
+        if times[row] > times[last]:
             kept.append(row)
-        elif seconds[row] != seconds[last] or not same(last, row):
-            back = seconds[last] - seconds[row]
+        elif times[row] != times[last] or not same(last, row):
+            back = times[last] - times[row]
             hint = "sort the log and keep one row per instant"
             if abs(back - _HOUR) < 0.1 * _HOUR:
                 hint += "; of a clock set back from summer time write stamps with their zones"
             raise ArgumentError(
                 f"{place(row)}: {column} must be later than in {place(last).split(', ')[-1]}, got "
-                f"{shown[row]} after {shown[last]}: {hint}."
+                f"{shown[row]!s:.40} after {shown[last]!s:.40}: {hint}."
             )
     return kept
 

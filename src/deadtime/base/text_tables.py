@@ -267,9 +267,9 @@ def _divided(
         if above and len(called := _cells(name, above, one)[0].cells) == width:
             return [], [_Row(above[0].number, called), *_cells(name, lines, one)], one
         first = next(row for row in some if _width(row.cells) == width)
-        if unnamed is None and counts[width] > len(some) // 4 and width > 1:
-            unnamed = first.number
-    if unnamed is not None and any(map(looks_numeric, _cells(name, lines[:1], given[0])[0].cells)):
+        if counts[width] > len(some) // 4 and any(map(looks_numeric, some[0].cells)):
+            unnamed = unnamed or first.number
+    if unnamed is not None:
         raise ArgumentError(
             f"{name} has no header: name the columns in its first line, such as t,x1,u1, before "
             f"the numbers of line {unnamed}."
@@ -304,13 +304,11 @@ def _names(header: _Row, rows: list[_Row]) -> tuple[list[str], bool]:
     last &= not any(any(row.cells[len(cells) - (not cells[-1]) :]) for row in rows)
     if last and not cells[-1]:
         cells = cells[:-1]
-    names: list[str] = []
-    for place, cell in enumerate(cells):
-        name, count = cell or f"column {place + 1}", 0
-        while name in names:
-            count += 1
-            name = f"{cell}.{count}"
-        names.append(name)
+    # Of two columns with one name it is not known which is meant: each gets another.
+    names = [
+        f"{cell} (column {place})" if cells.count(cell) > 1 or not cell else cell
+        for place, cell in enumerate(cells, 1)
+    ]
     return names, last
 
 

@@ -124,8 +124,8 @@ def _of_one_mode(table: LogTable, modes: str | None, column: str | None) -> list
     if modes is None or column is not None:
         return []
     texts = [name for name in table.frame.columns if is_of_few_texts(table, name)]
-    hint = f" If {texts[0]} is the mode, say modes={texts[0]!r}, --modes {quoted(texts[0])}."
-    return [f"No column {modes}: one mode.{hint if texts else ''}"]
+    hints = (f" If {one} is the mode, say modes={one!r}, --modes {quoted(one)}." for one in texts)
+    return [f"No column {modes}: one mode.{next(hints, '')}"]
 
 
 def _require_one_role(roles: dict[str, tuple[str, ...]], clock: str | None) -> None:

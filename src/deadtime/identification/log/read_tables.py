@@ -152,14 +152,14 @@ def timed(table: LogTable, options: ReadOptions) -> TimedTable:
 
 def clock_column(table: LogTable, time: str | None) -> str:
     if time is not None:
-        table.require(time, "name its column of times by time=, --time.")
+        table.require(time, 'name its column of times by time="…", --time.')
         return time
     column = next((name for name in TIMES if name in table.frame.columns), None)
     if column is None:
         raise ArgumentError(
             f"{table.name} must have a column t of times in seconds, got "
-            f"{brief(list(table.frame.columns))}: name it by time=…, --time, or say the sampling "
-            f"period by step=…, --step.{suggestion(table)}"
+            f'{brief(list(table.frame.columns))}: name it by time="…", --time, or give the '
+            f"sampling period as step, --step.{suggestion(table)}"
         )
     return column
 

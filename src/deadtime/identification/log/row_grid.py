@@ -5,8 +5,8 @@
     |t_k − a − h n_k| ≤ r/2    for all rows, n_k their places on the grid,
 
 then rounding explains why they are uneven, and rows are taken to lie on the grid. Of jitter beyond
-r/2 no such a and h exist. h is that of least squares if it satisfies this, else of the smallest
-largest error, which is a linear program over the corners of the convex hull of (k, t_k).
+r/2 no such a and h exist. The range of h is found by two linear programs over the corners of the
+convex hull of (n_k, t_k). Of it the simplest fraction is taken, as of a clock that was set.
 
 **Lost rows** of an even log become rows of which nothing is known. So they cost the periods that
 read them, and no others. A long gap begins a new part instead, as all inputs before it are too old.
@@ -24,6 +24,8 @@ from deadtime.identification.log.recording import Part
 _RESOLUTIONS = [10.0**-k * one for k in range(-1, 7) for one in (6.0, 5.0, 3.0, 2.0, 1.0)]
 _FEWEST = 20  # rows: some grid is near enough to fewer
 _ROUND_OFF = 1e-6  # of a resolution
+_OFTEN = 0.05  # share of the steps between rows that differ from the usual one
+_BY_CHANCE = 0.05  # number of fractions in a range below which one is no chance
 _FINE = 0.01  # of a period: a resolution that hardly matters
 _LOST = 1.5  # of a period: a longer step has lost rows
 _ON_GRID = 0.1  # of a period: a gap that is no more off a whole number of periods stays on the grid
@@ -59,14 +61,52 @@ def snapped(seconds: Float[np.ndarray, " row"]) -> RowGrid | None:
     places = np.arange(seconds.size, dtype=float)
     if (moves > 0.0).all():
         places[1:] = np.cumsum(np.maximum(np.round(moves / h), 1.0))
-    reach = (0.5 + _ROUND_OFF) * resolution
-    design = np.column_stack((np.ones(places.size), places))
-    a, h = np.linalg.lstsq(design, seconds, rcond=None)[0]
-    if np.abs(seconds - a - h * places).max() > reach:
-        a, h = np.array((a, h)) + _nearest(places, seconds - a - h * places)
-        if np.abs(seconds - a - h * places).max() > reach:
+    else:
+        # A row or two with the time of the one before are errors, not a grid finer than the clock.
+        _, counts = np.unique(np.round(moves / resolution), return_counts=True)
+        if counts.max() > (1.0 - _OFTEN) * moves.size:
             return None
-    return RowGrid(a + h * places, float(h), resolution)
+    steps = _steps(places, seconds, (0.5 + _ROUND_OFF) * resolution)
+    if steps is None:
+        return None
+    h = _simplest(*steps)
+    rest = seconds - h * places
+    return RowGrid(0.5 * float(rest.max() + rest.min()) + h * places, h, resolution)
+
+
+def _steps(
+    places: Float[np.ndarray, " row"], seconds: Float[np.ndarray, " row"], reach: float
+) -> tuple[float, float] | None:
+    """The least and the largest h with |t − a − h n| ≤ reach for some a; None if there is none."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull
+
+    a, h = np.linalg.lstsq(np.vander(places, 2)[:, ::-1], seconds, rcond=None)[0]
+    rest, last = (seconds - a - h * places) / reach, places[-1]
+    if np.ptp(rest) > 4.0:  # least squares is not so far off the best fit
+        return None
+    points = np.column_stack((places / last, rest))
+    n, y = points[ConvexHull(points).vertices].T  # the other rows lie between these
+    one = np.ones(n.size)
+    within = np.vstack((np.column_stack((one, n)), -np.column_stack((one, n))))
+    limits, free = np.concatenate((1.0 + y, 1.0 - y)), [(None, None)] * 2
+    found = [linprog([0.0, sign], within, limits, bounds=free) for sign in (1.0, -1.0)]
+    if any(one.x is None for one in found):
+        return None
+    low, high = (float(h + one.x[1] * reach / last) for one in found)
+    return low, high
+
+
+def _simplest(low: float, high: float) -> float:
+    """A period in a range: the simplest fraction if chance has none so simple there, or the middle.
+
+    Some 0.3 q² fractions per unit have a denominator up to q.
+    """
+    most = int(np.sqrt(_BY_CHANCE / (0.3 * max(high - low, 1e-12))))
+    for q in range(1, min(most, 100_000) + 1):
+        if (p := np.ceil(low * q)) <= high * q:
+            return float(p / q)
+    return 0.5 * (low + high)
 
 
 def _resolution(seconds: Float[np.ndarray, " row"]) -> float | None:
@@ -77,24 +117,6 @@ def _resolution(seconds: Float[np.ndarray, " row"]) -> float | None:
         if np.abs(counts - np.round(counts)).max() <= slack:
             return one
     return None
-
-
-def _nearest(
-    places: Float[np.ndarray, " row"], y: Float[np.ndarray, " row"]
-) -> Float[np.ndarray, " ab"]:
-    """a and b with the least max |y − a − b n|."""
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull
-
-    unit = max(float(np.abs(y).max()), 1e-300), places[-1]
-    points = np.column_stack((places / unit[1], y / unit[0]))
-    corner = points[ConvexHull(points).vertices]
-    n, value = corner.T
-    one = np.ones(n.size)
-    above = np.vstack((np.column_stack((-one, -n, -one)), np.column_stack((one, n, -one))))
-    free = [(None, None)] * 2
-    best = linprog([0, 0, 1], above, np.concatenate((-value, value)), bounds=[*free, (0, None)])
-    return np.array([best.x[0] * unit[0], best.x[1] * unit[0] / unit[1]])
 
 
 def split_at_gaps(
