@@ -110,7 +110,7 @@ REFUSED = {
     "rows lost often": (
         GOOD.drop(index=range(5, T, 8)),
         {},
-        "too short. Its longest stretch without a gap lasts .* with no row lost",
+        "too short. 50 rows are lost, and a period is of use only if .*: narrow delay=.low, high",
     ),
     "a mode hardly": (
         GOOD.assign(mode=np.arange(T) // 395),
@@ -141,7 +141,7 @@ REFUSED = {
     "clock": (
         GOOD.rename(columns={"t": "t_ms"}),
         {},
-        "column t of times in seconds.* name it by time="…", --time, or give the sampling",
+        'column t of times in seconds.* name it by time="…", --time, or give the sampling',
     ),
     "constant": (table(ONE, np.ones((T, 1))), {}, "u1 must change, got 1.0 .* --inputs"),
 }

@@ -187,7 +187,7 @@ REFUSED = {
     "no times": (
         PLAIN.drop(columns="t"),
         {},
-        "name it by --time, or give the sampling period as step, --step. For this",
+        "or give the sampling period as step, --step. For this file",
     ),
     "no header": (csv(header=False), {}, "has no header: name the columns in its first line"),
     "dates of two readings": (

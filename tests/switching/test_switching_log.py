@@ -78,9 +78,7 @@ def test_times_are_in_a_column_t_as_in_logs_of_a_plant(log, name):
     signal = log(f"x1,{name},mode\n0.5,{more}0,0\n0.7,{more}0.3,1\n0.6,{more}0.5,1\n")
     assert signal.times.tolist() == [0.0, 0.3]
     assert signal.end == 0.5
-    with pytest.raises(
-        dt.ArgumentError, match=r"line 3: time must be a num|line 3: t must be a num"
-    ):
+    with pytest.raises(dt.ArgumentError, match=r"line 3: (time|t) must be a num"):
         log(f"{name},mode\n{more}0,0\n{more}soon,1\n")
 
 

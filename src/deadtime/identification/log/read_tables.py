@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 # Of mode columns: other texts for no value, such as shutdown, may be modes.
 _NO_MODE = frozenset(("", "nan", "null", "none", "na", "n/a", "#n/a", "<na>", "bad"))
 _EVIDENCE = 7.0  # repeats expected by chance of which none is there: a chance of e⁻⁷
+_OFTEN = 0.3  # share of empty cells in a log on change: few are lost readings
 _MOST_MODES = 20
 _MOSTLY = 0.5  # share of empty cells of an input that are no mere loss
 
@@ -309,6 +310,9 @@ def held(table: LogTable, column: str, option: Sequence[str]) -> Bool[np.ndarray
     Were cells empty by loss, some values would be equal to the last one recorded. So many empty
     cells with never an equal value, where chance would make some, are those of a log on change.
     """
+    raw = table.frame[column]
+    if raw.dtype.kind in "iufb" and not raw.isna().any():
+        return None
     cells = texts_of(table, column)
     empty = np.array([not cell for cell in cells])
     if column in option:
@@ -319,7 +323,8 @@ def held(table: LogTable, column: str, option: Sequence[str]) -> Bool[np.ndarray
         return None
     counts = np.unique(filled, return_counts=True)[1] / len(filled)
     same = sum(a == b for a, b in pairwise(filled))
-    if not same and bool(cells[0]) and (len(filled) - 1) * float(counts @ counts) >= _EVIDENCE:
+    expected = (len(filled) - 1) * float(counts @ counts)
+    if share > _OFTEN and not same and bool(cells[0]) and expected >= _EVIDENCE:
         return empty
     if share > _MOSTLY:
         raise ArgumentError(

@@ -21,7 +21,8 @@ from jaxtyping import Bool, Float
 
 from deadtime.identification.log.recording import Part
 
-_RESOLUTIONS = [10.0**-k * one for k in range(-1, 7) for one in (6.0, 5.0, 3.0, 2.0, 1.0)]
+# Seconds. Not 20 ms: rows that a controller logs in its scans have their times.
+_RESOLUTIONS = (60.0, *(10.0**-k for k in range(7)))
 _FEWEST = 20  # rows: some grid is near enough to fewer
 _ROUND_OFF = 1e-6  # of a resolution
 _OFTEN = 0.05  # share of the steps between rows that differ from the usual one
@@ -49,25 +50,28 @@ def snapped(seconds: Float[np.ndarray, " row"]) -> RowGrid | None:
     >>> grid.resolution, round(grid.step, 5)
     (0.01, 0.03333)
     """
-    moves = np.diff(seconds)
-    if seconds.size < _FEWEST or (moves < 0.0).any() or not moves.max() > moves.min():
+    moves, resolution = np.diff(seconds), _resolution(seconds)
+    if resolution is None or seconds.size < _FEWEST or (moves < 0.0).any():
         return None
-    usual = moves[moves < _LOST * np.median(moves)] if np.median(moves) > 0.0 else moves
-    h = float(usual.mean())
-    even = np.abs(usual - h).max() <= _FINE * h
-    resolution = _resolution(seconds)
-    if even or resolution is None or resolution < _FINE * h:
+    # Steps that seldom differ are lost rows, or errors: of rounded times many differ.
+    _, counts = np.unique(np.round(moves / resolution), return_counts=True)
+    if counts.max() <= (1.0 - _OFTEN) * moves.size:
+        grid = _grid(np.arange(seconds.size, dtype=float), seconds, resolution)
+        if grid is not None:
+            return grid
+    usual = moves[moves < _LOST * np.median(moves)]
+    if not (moves > 0.0).all() or np.ptp(usual) <= 2.0 * _FINE * usual.mean():
         return None
-    places = np.arange(seconds.size, dtype=float)
-    if (moves > 0.0).all():
-        places[1:] = np.cumsum(np.maximum(np.round(moves / h), 1.0))
-    else:
-        # A row or two with the time of the one before are errors, not a grid finer than the clock.
-        _, counts = np.unique(np.round(moves / resolution), return_counts=True)
-        if counts.max() > (1.0 - _OFTEN) * moves.size:
-            return None
+    places = np.cumsum(np.maximum(np.round(moves / usual.mean()), 1.0))
+    return _grid(np.append(0.0, places), seconds, resolution)
+
+
+def _grid(
+    places: Float[np.ndarray, " row"], seconds: Float[np.ndarray, " row"], resolution: float
+) -> RowGrid | None:
+    """The grid of times rounded to a resolution, at given places of it; None if there is none."""
     steps = _steps(places, seconds, (0.5 + _ROUND_OFF) * resolution)
-    if steps is None:
+    if steps is None or resolution < _FINE * steps[0]:
         return None
     h = _simplest(*steps)
     rest = seconds - h * places
@@ -110,8 +114,8 @@ def _simplest(low: float, high: float) -> float:
 
 
 def _resolution(seconds: Float[np.ndarray, " row"]) -> float | None:
-    """The largest unit of which all times are multiples."""
-    for one in sorted(_RESOLUTIONS, reverse=True):
+    """The largest unit of which all times are multiples, of those that clocks round to."""
+    for one in _RESOLUTIONS:
         counts = seconds / one
         slack = _ROUND_OFF + 4.0 * np.finfo(float).eps * np.abs(counts).max()
         if np.abs(counts - np.round(counts)).max() <= slack:
