@@ -66,7 +66,7 @@ def test_a_file_of_another_program_is_read_by_the_options_that_its_refusal_names
     code, _, error = said([path], capsys)
     assert code == 2
     advice = '--time Time --states "Level [cm]" --inputs "Pump, main"'
-    assert f'For this file perhaps: deadtime identify {path} {advice}' in error
+    assert f"For this file perhaps: deadtime identify {path} {advice}" in error
     given = ["--time", "Time", "--states", "Level [cm]", "--inputs", "Pump, main"]
     code, out, _ = said([path, *given, "--delay", 0, 1, "--json"], capsys)
     record = json.loads(out)
@@ -147,7 +147,7 @@ def test_columns_have_commas_between_them_or_in_them(folder, capsys):
 
 def test_what_cannot_be_done_is_one_line(folder, capsys):
     log = folder / "log.csv"
-    assert said([log], capsys)[0] == 2
+    assert said([log, "--modes", "gear"], capsys)[0] == 2
     assert "logs must be given" in said([], capsys)[2]
     assert "law needs beside" in said([log, "--one-mode", "--law", "mean"], capsys)[2]
     assert (

@@ -263,7 +263,7 @@ def _stamp(cell: str, name: str) -> _Stamp:
     if match := _COMPACT.fullmatch(cell):
         cell = f"{match[1]} {match[2]}:{match[3]}:{match[4]}{match[5]}"
     match = _TIME_OF_DAY.fullmatch(cell)
-    if match is None:
+    if match is None or (match["hour"] is None and not re.search(r"\d\D\w+\D\d|^\d{8}$", cell)):
         raise ArgumentError(
             f"{name} must be a number or a stamp such as 2026-03-02 08:15:00.5, got {cell!r:.80}."
         )
@@ -295,9 +295,10 @@ def _stamp(cell: str, name: str) -> _Stamp:
 
 def _day(date: str, form: str) -> int | None:
     try:
-        return (datetime.strptime(date, form) - datetime(1970, 1, 1)).days
+        day = datetime.strptime(date, form)
     except ValueError:
         return None
+    return (day - datetime(1970, 1, 1)).days if 1900 <= day.year <= 2200 else None
 
 
 def _unknown(date: str) -> bool:

@@ -249,7 +249,7 @@ def _divided(
     given = [" " if sep in (r"\s+", "whitespace") else sep] if sep else list(_SEPARATORS)
     unnamed = None
     for one in given:
-        if len(one) != 1:
+        if len(one) != 1 or one in '"\r\n':
             raise ArgumentError(
                 r'sep, --sep, must be one character, such as ";", or "\s+" for blanks, got '
                 f"{one!r}."

@@ -361,7 +361,7 @@ def labels_of(tables: list[LogTable], column: str | None) -> dict[str, int]:
                 "fill it with the mode that was active."
             )
         labels |= set(texts)
-    if not all(name.isdecimal() for name in labels):
+    if not all(name.isdecimal() and len(name) < 10 for name in labels):
         return {name: i for i, name in enumerate(sorted(labels))}
     numbers = sorted(map(int, labels))
     if numbers[-1] - numbers[0] >= len(numbers):
