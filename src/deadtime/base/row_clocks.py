@@ -24,6 +24,7 @@ TIMES = ("t", "time")  # names of the column of times, the preferred one first
 UNITS = {"s": 0, "ms": -3, "us": -6, "ns": -9}  # of a clock, and their powers of ten
 _LATEST = 10**11  # seconds: counted from 1970 the year 5138
 _THIS_AGE = 1_000_000_000, 3_000_000_000  # seconds since 1970: the years 2001 to 2065
+_ONE_DAY = "times hh:mm:ss of one day"
 _DAY, _HOUR = 86_400, 3_600
 _CONTINUOUS = 20.0  # medians: a reading of dates with no longer step is right beside one with days
 _TIME_OF_DAY = re.compile(
@@ -206,7 +207,7 @@ def _stamped(cells: Sequence[str], place: Callable[[int], str], column: str) -> 
     seconds = np.array([float(value - values[0]) for value in values])
     time = "" if all(stamp.seconds == 0 for stamp in stamps) else " hh:mm:ss"
     zone = " UTC" if zoned[0] else ""
-    said = f"times {called}{time} from {_date(values[0])}{zone}"
+    said = f"times {called}{time} from {_date(values[0])}{zone}" if called else _ONE_DAY
     return RowClock(seconds, 0.0, said, origin=values[0])
 
 
@@ -216,16 +217,17 @@ def _chosen(
     place: Callable[[int], str],
     column: str,
 ) -> tuple[str, list[Decimal]]:
-    """The notation in which time does not go back, nor jump by days where another has no jump."""
+    """The notation in which time does not go back, nor jump by days where another has no jump.
+
+    "" if it does not matter, as all rows are of one day.
+    """
     steps = [np.diff(np.array([float(v - values[0]) for v in values])) for _, values in found]
     rising = [i for i, own in enumerate(steps) if (own >= 0.0).all()]
     if not rising:
         return found[0]
     first = found[rising[0]]
     if all((steps[i] == steps[rising[0]]).all() for i in rising):
-        if len(rising) > 1:  # all rows are of one day
-            return first[0].translate(str.maketrans({"d": "x", "m": "x", "y": "x"})), first[1]
-        return first
+        return ("", first[1]) if len(rising) > 1 else first
     whole = [
         i for i in rising if steps[i].max() <= _CONTINUOUS * max(float(np.median(steps[i])), 1e-9)
     ]
@@ -249,7 +251,7 @@ def _times_of_day(stamps: Sequence[_Stamp]) -> RowClock:
             value += _DAY
         values.append(value)
     seconds = np.array([float(value - values[0]) for value in values])
-    said = "times hh:mm:ss of one day"
+    said = _ONE_DAY
     if midnights:
         said = (
             f"times hh:mm:ss, midnight passed {midnights} times"

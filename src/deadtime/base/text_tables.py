@@ -12,6 +12,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ _MOST_BYTES = 500_000_000
 _LOOKED_AT = 400  # lines that a separator and a header are found in
 _MOST_UNITS = 3  # rows beneath a header: units, descriptions, types
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
+_PLAIN = frozenset("0123456789+-eE")
 _COMMENT = re.compile(r"\s*(?:#(?!N/A|NUM!|VALUE!|DIV/0!|REF!)|%|//)\s*(.*)", re.IGNORECASE)
 _POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?")
@@ -126,7 +128,7 @@ def read_text_table(
         said.append(f"{_listed('line', [row.number for row in rows[:units]])} (units) left out")
     if last:
         said.append("separators at the ends of lines ignored")
-    rows = rows[units:]
+    rows = [row for row in rows[units:] if any(row.cells)]  # spreadsheets end in empty ones
     whole = len(rows) < 2 or len(rows[-1].cells) >= width or len(rows[-2].cells) < width
     if not (whole or text.endswith(("\n", "\r"))):
         said.append(f"line {rows[-1].number}, cut short, left out")
@@ -160,6 +162,10 @@ def numbers_in(
     >>> numbers_in(["1,5", "Bad", "", "-2"], ",")
     (array([ 1.5,  nan,  nan, -2. ]), {'Bad': 1}, None)
     """
+    if set().union(*cells) <= _PLAIN | {decimal}:
+        text = (cell.replace(",", ".") or "nan" for cell in cells)
+        with suppress(ValueError):
+            return np.array([float(cell) for cell in text]), {}, None
     values, missing = np.full(len(cells), np.nan), Counter()
     for row, cell in enumerate(cells):
         if not cell:

@@ -108,7 +108,7 @@ def read_recording(
         logged=column is not None,
         absent=absent_modes(tables, column, labels),
         constants=constants,
-        read_as=(*_read_as(tables, said), *_of_one_mode(tables[0], modes, column)),
+        read_as=(*_read_as(tables, said), *_of_one_mode(filled[0], modes, column)),
     )
 
 
@@ -120,10 +120,11 @@ def _read_as(tables: list[LogTable], said: list[tuple[str, ...]]) -> list[str]:
     return [f"{table.name} read as: {'; '.join(one)}." for table, one in each if one]
 
 
-def _of_one_mode(table: LogTable, modes: str | None, column: str | None) -> list[str]:
+def _of_one_mode(one: TimedTable, modes: str | None, column: str | None) -> list[str]:
     if modes is None or column is not None:
         return []
-    texts = [name for name in table.frame.columns if is_of_few_texts(table, name)]
+    others = [name for name in one.table.frame.columns if name != one.clock]
+    texts = [name for name in others if is_of_few_texts(one.table, name)]
     hints = (f" If {one} is the mode, say modes={one!r}, --modes {quoted(one)}." for one in texts)
     return [f"No column {modes}: one mode.{next(hints, '')}"]
 

@@ -183,6 +183,9 @@ def _clock(table: LogTable, column: str) -> tuple[Float[np.ndarray, " row"], flo
             raise ArgumentError(f"{table.place(int(bad[0]))}: {column} must be finite.")
         return seconds, 0.0, ""
     cells = texts_of(table, column)
+    seconds, _, bad = numbers_in(cells, table.decimal)
+    if bad is None and np.isfinite(seconds).all() and np.abs(seconds[:1]).max(initial=0.0) < 1e8:
+        return seconds, 0.0, ""
     if table.decimal == ",":
         cells = [cell.replace(",", ".") for cell in cells]
     clock = clock_of(cells, table.place, column)
@@ -192,6 +195,8 @@ def _clock(table: LogTable, column: str) -> tuple[Float[np.ndarray, " row"], flo
 def texts_of(table: LogTable, column: str) -> list[str]:
     """Cells as texts; empty where there is none."""
     raw = table.frame[column]
+    if table.row == "line" and not raw.isna().to_numpy().any():
+        return raw.to_list()  # of a file they are
     return ["" if no else str(cell).strip() for cell, no in zip(raw, raw.isna(), strict=True)]
 
 
@@ -248,9 +253,8 @@ def suggestion(table: LogTable) -> str:
         elif bad is not None and is_of_few_texts(table._replace(frame=frame), name):
             texts.append(name)
     # Inputs are held for some rows, measurements are not.
-    inputs = [name for name, moves in numbers if 0.0 < moves < 0.5] or [numbers[-1][0]] * bool(
-        numbers
-    )
+    inputs = [name for name, moves in numbers if 0.0 < moves < 0.5]
+    inputs = inputs or [name for name, _ in numbers[-1:]]
     states = [name for name, _ in numbers if name not in inputs]
     options = [("--time", [clock])] if clock not in (None, *TIMES) else []
     options += [] if clock is not None else [("--step", ["SECONDS"])]
@@ -265,9 +269,9 @@ def suggestion(table: LogTable) -> str:
 
 
 def is_of_few_texts(table: LogTable, column: str) -> bool:
-    """Whether a column holds a few texts, again and again, as one of a mode does."""
+    """Whether a column holds some texts, again and again, as one of a mode does."""
     cells = texts_of(table, column)
-    few = len(set(cells)) <= min(_MOST_MODES, len(cells) // 3)
+    few = 1 < len(set(cells)) <= min(_MOST_MODES, len(cells) // 3)
     return few and numbers_in(cells, table.decimal)[2] is not None
 
 
@@ -311,7 +315,7 @@ def held(table: LogTable, column: str, option: Sequence[str]) -> Bool[np.ndarray
     cells with never an equal value, where chance would make some, are those of a log on change.
     """
     raw = table.frame[column]
-    if raw.dtype.kind in "iufb" and not raw.isna().any():
+    if raw.dtype.kind in "iufb" and not raw.isna().to_numpy().any():
         return None
     cells = texts_of(table, column)
     empty = np.array([not cell for cell in cells])

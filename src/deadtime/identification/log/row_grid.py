@@ -34,7 +34,7 @@ _LONG = 100  # periods: a longer gap begins a new part
 
 
 class RowGrid(NamedTuple):
-    """Times on a grid, seconds, its period, and the resolution of the clock."""
+    """Times on a grid from the first row, seconds, its period, and the clock's resolution."""
 
     seconds: Float[np.ndarray, " row"]
     step: float
@@ -74,8 +74,7 @@ def _grid(
     if steps is None or resolution < _FINE * steps[0]:
         return None
     h = _simplest(*steps)
-    rest = seconds - h * places
-    return RowGrid(0.5 * float(rest.max() + rest.min()) + h * places, h, resolution)
+    return RowGrid(h * places, h, resolution)
 
 
 def _steps(
