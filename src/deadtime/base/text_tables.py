@@ -13,6 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import zip_longest
 from os import PathLike
 from typing import NamedTuple
 
@@ -106,45 +107,45 @@ def read_text_table(
     if decimal not in (None, ".", ","):
         raise ArgumentError(f'decimal, --decimal, must be "." or ",", got {decimal!r}.')
     text, encoding = _decoded(name, read_bytes(path, _MOST_BYTES))
-    lines, comments = [], []
-    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1):
-        if match := _COMMENT.match(line):
-            comments.append(_Line(number, match[1]))
-        elif line.strip():
-            lines.append(_Line(number, line))
-    if lines and (match := re.fullmatch(r"\s*sep=(.)\s*", lines[0].text)):  # Excel's own line
+    every = re.split(r"\r\n|\n|\r", text)
+    marked = {k: match[1] for k, line in enumerate(every, 1) if (match := _COMMENT.match(line))}
+    kept = [k for k, line in enumerate(every, 1) if k not in marked and line.strip()]
+    lines = _Rows(kept, [every[k - 1] for k in kept])
+    if kept and (match := re.fullmatch(r"\s*sep=(.)\s*", lines.rows[0])):  # Excel's own line
         sep = sep or match[1]
-        del lines[0]
-    if not lines:
+        lines = lines.since(1)
+    if not lines.rows:
         raise ArgumentError(f"{name} is no CSV table with one header line: it is empty.")
-    before, (header, *rows), sep = _divided(name, sep, lines, comments, wanted)
-    names, last = _names(header, rows)
-    width, units = len(names), _units([row.cells for row in rows[: 1 + _MOST_UNITS]])
+    before, below, sep = _divided(name, sep, lines, marked, wanted)
+    header, rows = below.numbers[0], below.rows[1:]
+    names, last = _names(below.rows[0], rows)
+    width, units = len(names), _units(rows[: 1 + _MOST_UNITS])
     said = [*encoding]
-    above = [one.number for one in comments] + [row.number for row in before]
-    if above := sorted(number for number in above if number < header.number):
+    if above := sorted(number for number in (*marked, *before) if number < header):
         said.append(f"{_listed('line', above)} before the header left out")
     if units:
-        said.append(f"{_listed('line', [row.number for row in rows[:units]])} (units) left out")
+        said.append(f"{_listed('line', below.numbers[1 : 1 + units])} (units) left out")
     if last:
         said.append("separators at the ends of lines ignored")
-    rows = [row for row in rows[units:] if any(row.cells)]  # spreadsheets end in empty ones
-    whole = len(rows) < 2 or len(rows[-1].cells) >= width or len(rows[-2].cells) < width
+    numbers, rows = below.since(1 + units)
+    if not all(map(any, rows)):  # spreadsheets end in rows of empty cells
+        numbers = [k for k, row in zip(numbers, rows, strict=True) if any(row)]
+        rows = [row for row in rows if any(row)]
+    whole = len(rows) < 2 or len(rows[-1]) >= width or len(rows[-2]) < width
     if not (whole or text.endswith(("\n", "\r"))):
-        said.append(f"line {rows[-1].number}, cut short, left out")
-        rows = rows[:-1]
-    for number, cells in rows:
-        if any(cells[width:]):
+        said.append(f"line {numbers[-1]}, cut short, left out")
+        numbers, rows = numbers[:-1], rows[:-1]
+    for number, cells in zip(numbers, rows, strict=True):
+        if len(cells) > width and any(cells[width:]):
             raise ArgumentError(
-                f"{name}, line {number} has {len(cells)} cells, and the header, line "
-                f"{header.number}, has {width} names: name every column. Numbers with decimal "
-                "commas need another separator of columns, such as semicolons."
+                f"{name}, line {number} has {len(cells)} cells, and the header, line {header}, "
+                f"has {width} names: name every column. Numbers with decimal commas need another "
+                "separator of columns, such as semicolons."
             )
-    columns = {
-        one: [row.cells[i] if i < len(row.cells) else "" for row in rows]
-        for i, one in enumerate(names)
-    }
-    table = TextTable(name, columns, [row.number for row in rows])
+    each = zip_longest(*rows, fillvalue="") if rows else ([] for _ in names)
+    columns = {one: list(cells) for one, cells in zip(names, each, strict=False)}
+    columns |= {one: [""] * len(rows) for one in names if one not in columns}
+    table = TextTable(name, columns, numbers)
     sign = _decimal_sign(table, sep) if decimal is None else decimal
     form = [] if sep == "," else [f"columns separated by {_SEPARATORS.get(sep, repr(sep))}"]
     form += ["decimal commas"] if sign == "," else []
@@ -195,14 +196,14 @@ def thousands_in(cell: str) -> bool:
     return bool(_THOUSANDS.fullmatch(cell) or _PERHAPS.fullmatch(cell))
 
 
-class _Line(NamedTuple):
-    number: int
-    text: str
+class _Rows(NamedTuple):
+    """Lines, or their cells, with their numbers."""
 
+    numbers: list[int]
+    rows: list
 
-class _Row(NamedTuple):
-    number: int
-    cells: list[str]
+    def since(self, first: int) -> _Rows:
+        return _Rows(self.numbers[first:], self.rows[first:])
 
 
 def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
@@ -228,30 +229,27 @@ def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
     return text, said
 
 
-def _cells(name: str, lines: Sequence[_Line], sep: str) -> list[_Row]:
+def _cells(name: str, lines: _Rows, sep: str) -> _Rows:
     """The cells of lines."""
     if sep == " ":
-        return [_Row(line.number, line.text.split()) for line in lines]
-    reader = csv.reader((line.text for line in lines), delimiter=sep, skipinitialspace=sep != "\t")
-    rows = []
+        return _Rows(lines.numbers, [line.split() for line in lines.rows])
+    reader, rows, numbers = csv.reader(lines.rows, delimiter=sep, skipinitialspace=True), [], []
     try:
         for cells in reader:
-            number = lines[reader.line_num - 1].number
-            rows.append(_Row(number, [cell.strip() for cell in cells]))
+            rows.append(cells)
+            numbers.append(reader.line_num)
     except csv.Error as error:
-        number = lines[min(reader.line_num, len(lines) - 1)].number
+        number = lines.numbers[min(reader.line_num, len(lines.rows) - 1)]
         raise ArgumentError(f"{name}, line {number}: {error}.") from None
-    return rows
+    if any(" " in line or "\t" in line for line in lines.rows):
+        rows = [[cell.strip() for cell in cells] for cells in rows]
+    return _Rows([lines.numbers[k - 1] for k in numbers], rows)
 
 
 def _divided(
-    name: str,
-    sep: str | None,
-    lines: list[_Line],
-    comments: list[_Line],
-    wanted: Sequence[str],
-) -> tuple[list[_Row], list[_Row], str]:
-    """Rows before the header, the rows from it on, and the separator."""
+    name: str, sep: str | None, lines: _Rows, comments: dict[int, str], wanted: Sequence[str]
+) -> tuple[list[int], _Rows, str]:
+    """The lines before the header, the rows from it on, and the separator."""
     given = [" " if sep in (r"\s+", "whitespace") else sep] if sep else list(_SEPARATORS)
     unnamed = None
     for one in given:
@@ -260,21 +258,24 @@ def _divided(
                 r'sep, --sep, must be one character, such as ";", or "\s+" for blanks, got '
                 f"{one!r}."
             )
-        some = _cells(name, lines[:_LOOKED_AT], one)
-        counts = Counter(_width(row.cells) for row in some[len(some) // 2 :])
+        some = _cells(name, _Rows(lines.numbers[:_LOOKED_AT], lines.rows[:_LOOKED_AT]), one)
+        counts = Counter(map(_width, some.rows[len(some.rows) // 2 :]))
         width = max(counts, key=lambda size: (counts[size], size))
-        if width < 2 and not (sep and len(some) > 1):
+        if width < 2 and not (sep and len(some.rows) > 1):
             continue
-        header = _header(some, width, wanted)
+        header = _header(some.rows, width, wanted)
         if header is not None:
-            return some[:header], _cells(name, lines[header:], one), one
+            return lines.numbers[:header], _cells(name, lines.since(header), one), one
         # NumPy and MATLAB write names as the last comment before the numbers.
-        above = [line for line in comments if line.number < some[0].number][-1:]
-        if above and len(called := _cells(name, above, one)[0].cells) == width:
-            return [], [_Row(above[0].number, called), *_cells(name, lines, one)], one
-        first = next(row for row in some if _width(row.cells) == width)
-        if counts[width] > len(some) // 4 and any(map(looks_numeric, some[0].cells)):
-            unnamed = unnamed or first.number
+        above = [number for number in comments if number < some.numbers[0]][-1:]
+        if above:
+            called = _cells(name, _Rows(above, [comments[above[0]]]), one)
+            if len(called.rows) == 1 and len(called.rows[0]) == width:
+                rows = _cells(name, lines, one)
+                return [], _Rows(above + rows.numbers, called.rows + rows.rows), one
+        if counts[width] > len(some.rows) // 4 and any(map(looks_numeric, some.rows[0])):
+            first = next(k for k, row in enumerate(some.rows) if _width(row) == width)
+            unnamed = unnamed or some.numbers[first]
     if unnamed is not None:
         raise ArgumentError(
             f"{name} has no header: name the columns in its first line, such as t,x1,u1, before "
@@ -289,25 +290,25 @@ def _width(cells: list[str]) -> int:
     return len(cells) - (len(cells) > 1 and not cells[-1])
 
 
-def _header(rows: list[_Row], width: int, wanted: Sequence[str]) -> int | None:
+def _header(rows: list[list[str]], width: int, wanted: Sequence[str]) -> int | None:
     """The first row that may be a header, one with a wanted name if there is one."""
     may = []
-    for place, (_, cells) in enumerate(rows):
+    for place, cells in enumerate(rows):
         if _width(cells) != width and len(cells) != width and len(cells) != width + 1:
             continue
         if any(looks_numeric(cell) or _STAMP.search(cell) for cell in cells):
             break
         if 2 * sum(map(bool, cells)) >= width:
             may.append(place)
-    named = [place for place in may if set(wanted) & set(rows[place].cells)]
+    named = [place for place in may if set(wanted) & set(rows[place])]
     return next(iter(named or may), None)
 
 
-def _names(header: _Row, rows: list[_Row]) -> tuple[list[str], bool]:
+def _names(header: list[str], rows: list[list[str]]) -> tuple[list[str], bool]:
     """Names of columns, each its own; and whether lines end with a separator that ends no cell."""
-    cells, longest = list(header.cells), max((len(row.cells) for row in rows), default=0)
+    cells, longest = list(header), max(map(len, rows), default=0)
     last = longest >= len(cells) + (bool(cells[-1]))
-    last &= not any(any(row.cells[len(cells) - (not cells[-1]) :]) for row in rows)
+    last &= not any(any(row[len(cells) - (not cells[-1]) :]) for row in rows)
     if last and not cells[-1]:
         cells = cells[:-1]
     # Of two columns with one name it is not known which is meant: each gets another.
