@@ -163,10 +163,10 @@ def numbers_in(
     >>> numbers_in(["1,5", "Bad", "", "-2"], ",")
     (array([ 1.5,  nan,  nan, -2. ]), {'Bad': 1}, None)
     """
-    if set().union(*cells) <= _PLAIN | {decimal}:
-        text = (cell.replace(",", ".") or "nan" for cell in cells)
+    if set("".join(cells)) <= _PLAIN | {decimal}:
+        points = cells if decimal == "." else [cell.replace(",", ".") for cell in cells]
         with suppress(ValueError):
-            return np.array([float(cell) for cell in text]), {}, None
+            return np.array(list(map(float, points))), {}, None
     values, missing = np.full(len(cells), np.nan), Counter()
     for row, cell in enumerate(cells):
         if not cell:
