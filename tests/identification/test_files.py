@@ -213,6 +213,11 @@ REFUSED = {
         {},
         "line 10: t must be a number or",
     ),
+    "points of thousands in times": (
+        csv(PLAIN.assign(t=[f"{k // 8}.{k % 8}00,5" for k in range(COUNT)]), sep=";", decimal=","),
+        {},
+        "line 2: t must be a number or a stamp such as",
+    ),
     "thousands": (
         csv(PLAIN.assign(x2=PLAIN["x2"].map("{:,.2f}".format)), sep=";"),
         {},
@@ -229,7 +234,7 @@ REFUSED = {
             sep=";",
         ),
         {},
-        'the comma may separate thousands or decimals: say --decimal ","',
+        'say --decimal ",", if its comma is of decimals',
     ),
     "decimal commas between commas": (
         csv(decimal=",").replace('"', "").replace("t,x", "t,x", 1),
@@ -239,7 +244,7 @@ REFUSED = {
     "points and commas": (
         csv(PLAIN.assign(x1=PLAIN["x1"].map(str).str.replace(".", ",")), sep=";"),
         {},
-        "has numbers with decimal commas and, in column",
+        'say --decimal ",", if its comma is of decimals, in all numbers alike',
     ),
     "inputs on change, few": (
         csv(PLAIN.assign(u1=[k if k % 4 == 0 else "" for k in range(COUNT)])),

@@ -84,7 +84,7 @@ def clock_of(
 
     Examples
     --------
-    >>> clock_of(["02.03.2026 08:15:00", "02.03.2026 08:15:00,5"], str, "t")[::2]
+    >>> clock_of(["02.03.2026 08:15:00", "02.03.2026 08:15:00,5"], str, "t")[:3:2]
     (array([0. , 0.5]), 'times dd.mm.yyyy hh:mm:ss from 2026-03-02 08:15:00')
     """
     if unit is not None and unit not in UNITS:

@@ -28,6 +28,7 @@ _LOOKED_AT = 400  # lines that a separator and a header are found in
 _MOST_UNITS = 3  # rows beneath a header: units, descriptions, types
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 _PLAIN = frozenset("0123456789+-eE")
+_SWAPPED = str.maketrans(",.", ".,")
 _COMMENT = re.compile(r"\s*(?:#(?!N/A|NUM!|VALUE!|DIV/0!|REF!)|%|//)\s*(.*)", re.IGNORECASE)
 _POINT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 _COMMA = re.compile(r"[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?")
@@ -146,7 +147,7 @@ def read_text_table(
     columns = {one: list(cells) for one, cells in zip(names, each, strict=False)}
     columns |= {one: [""] * len(rows) for one in names if one not in columns}
     table = TextTable(name, columns, numbers)
-    sign = _decimal_sign(table, sep) if decimal is None else decimal
+    sign = _decimal_sign(columns) if decimal is None else decimal
     form = [] if sep == "," else [f"columns separated by {_SEPARATORS.get(sep, repr(sep))}"]
     form += ["decimal commas"] if sign == "," else []
     phrases = [", ".join(form), *said] if form else said
@@ -171,14 +172,24 @@ def numbers_in(
     for row, cell in enumerate(cells):
         if not cell:
             continue
-        text = cell.replace(",", ".") if decimal == "," and "." not in cell else cell
+        text = cell.translate(_SWAPPED) if decimal == "," else cell  # points are of thousands
         if _POINT.fullmatch(text):
             values[row] = float(text.replace("d", "e").replace("D", "e"))
         elif cell.lower() in _MISSING:
             missing[cell] += 1
         else:
-            return values, missing, row
-    return values, missing, None
+            return values, dict(missing), row
+    return values, dict(missing), None
+
+
+def with_points(cells: Sequence[str], decimal: str) -> list[str]:
+    """Cells, of which numbers have decimal points; others, such as stamps, are as they were."""
+    if decimal == ".":
+        return list(cells)
+    swapped = [cell.translate(_SWAPPED) for cell in cells]
+    each = zip(cells, swapped, strict=True)
+    # A point that separates thousands becomes a comma, which makes the cell no number.
+    return [new if looks_numeric(cell) else cell for cell, new in each]
 
 
 def looks_numeric(cell: str) -> bool:
@@ -191,9 +202,16 @@ def is_missing(cell: str) -> bool:
     return not cell or cell.lower() in _MISSING
 
 
-def thousands_in(cell: str) -> bool:
-    """Whether a cell is a number whose thousands are separated."""
-    return bool(_THOUSANDS.fullmatch(cell) or _PERHAPS.fullmatch(cell))
+def advice_on(cell: str) -> str:
+    """What to do about a cell that is no number."""
+    if _COMMA.fullmatch(cell):
+        return (
+            'say decimal=",", --decimal ",", if its comma is of decimals, in all numbers alike, or '
+            "write numbers without signs of thousands."
+        )
+    if _THOUSANDS.fullmatch(cell):
+        return "write numbers without signs of thousands."
+    return "leave the cell empty where nothing was measured."
 
 
 class _Rows(NamedTuple):
@@ -329,37 +347,17 @@ def _units(rows: list[list[str]]) -> int:
     return 0
 
 
-def _decimal_sign(table: TextTable, sep: str) -> str:
-    """The sign of decimals in a table; refuses signs of thousands."""
-    commas, sure, point = 0, False, None
-    for column, cells in table.columns.items():
-        own = [(row, cell) for row, cell in enumerate(cells) if "," in cell]
-        found = [(row, cell) for row, cell in own if _COMMA.fullmatch(cell)]
-        commas += len(found)
-        sure |= any(not _PERHAPS.fullmatch(cell) for _, cell in found)
+def _decimal_sign(columns: dict[str, list[str]]) -> str:
+    """A comma if numbers have one, none a point, and not all may be of thousands; else a point."""
+    sure = False
+    for cells in columns.values():
+        found = [cell for cell in cells if "," in cell and _COMMA.fullmatch(cell)]
+        if not found and any("." in cell and _POINT.fullmatch(cell) for cell in cells):
+            return "."
+        sure |= any(not _PERHAPS.fullmatch(cell) for cell in found)
         # Thousands have a sign in every number that has them.
         sure |= bool(found) and any(cell.isdecimal() and len(cell) > 3 for cell in cells)
-        if point is None and not found:
-            decimals = (
-                row for row, cell in enumerate(cells) if "." in cell and _POINT.fullmatch(cell)
-            )
-            point = next(((row, column) for row in decimals), None)
-    if not commas:
-        return "."
-    if point is not None:
-        row, column = point
-        raise ArgumentError(
-            f"{table.name} has numbers with decimal commas and, in column {column}, line "
-            f'{table.lines[row]}, with points: write all alike, or say decimal=",", --decimal ",", '
-            'or decimal=".", --decimal ., for those of the columns that are used.'
-        )
-    if not sure:
-        raise ArgumentError(
-            f"{table.name} has numbers such as 1,234, of which the comma may separate thousands or "
-            'decimals: say decimal=",", --decimal ",", for decimals; write numbers without signs '
-            "of thousands."
-        )
-    return ","
+    return "," if sure else "."
 
 
 def _listed(noun: str, numbers: Sequence[int]) -> str:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from deadtime.base.errors import ArgumentError
 from deadtime.base.files import replacing
 from deadtime.base.row_clocks import TIMES, clock_of, require_rising
-from deadtime.base.text_tables import TextTable, numbers_in, read_text_table
+from deadtime.base.text_tables import TextTable, numbers_in, read_text_table, with_points
 from deadtime.base.wording import number_of
 
 MOST_MODES = 1000  # of a log whose plant is not known
@@ -84,9 +84,7 @@ def read_log(
         )
     if not table.lines:
         raise ArgumentError(f"{table.name} must hold at least one row, got none.")
-    cells = table.columns[clocked]
-    if table.decimal == ",":
-        cells = [cell.replace(",", ".") for cell in cells]
+    cells = with_points(table.columns[clocked], table.decimal)
     clock = clock_of(cells, table.place, clocked, unit)
     each = list(zip(*table.columns.values(), strict=True))
     kept = require_rising(

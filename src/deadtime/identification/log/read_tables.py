@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from deadtime.base.checks import brief, positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.row_clocks import TIMES, clock_of, require_rising
-from deadtime.base.text_tables import numbers_in, read_text_table, thousands_in
+from deadtime.base.text_tables import advice_on, numbers_in, read_text_table, with_points
 from deadtime.identification.log.row_grid import snapped
 
 if TYPE_CHECKING:
@@ -186,9 +186,7 @@ def _clock(table: LogTable, column: str) -> tuple[Float[np.ndarray, " row"], flo
     seconds, _, bad = numbers_in(cells, table.decimal)
     if bad is None and np.isfinite(seconds).all() and np.abs(seconds[:1]).max(initial=0.0) < 1e8:
         return seconds, 0.0, ""
-    if table.decimal == ",":
-        cells = [cell.replace(",", ".") for cell in cells]
-    clock = clock_of(cells, table.place, column)
+    clock = clock_of(with_points(cells, table.decimal), table.place, column)
     return clock.seconds, clock.first, clock.said
 
 
@@ -297,11 +295,9 @@ def numeric_column(table: LogTable, column: str) -> tuple[Float[np.ndarray, " ro
         bad = int(infinite[0])
     if bad is not None:
         got = raw.astype(object).iloc[bad]
-        advice = "leave the cell empty where nothing was measured."
-        if thousands_in(str(got)):
-            advice = "write numbers without signs of thousands."
         raise ArgumentError(
-            f"{table.place(bad)}: {column} must be a finite number, got {brief(got)}: {advice}"
+            f"{table.place(bad)}: {column} must be a finite number, got {brief(got)}: "
+            f"{advice_on(str(got))}"
         )
     each = (f"{count} cell{'s' * (count > 1)} {text!r}" for text, count in missing.items())
     said = " and ".join(each)
