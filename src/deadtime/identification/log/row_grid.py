@@ -50,8 +50,12 @@ def snapped(seconds: Float[np.ndarray, " row"]) -> RowGrid | None:
     >>> grid.resolution, round(grid.step, 5)
     (0.01, 0.03333)
     """
-    moves, resolution = np.diff(seconds), _resolution(seconds)
-    if resolution is None or seconds.size < _FEWEST or (moves < 0.0).any():
+    moves = np.diff(seconds)
+    if (
+        seconds.size < _FEWEST
+        or (moves < 0.0).any()
+        or (resolution := _resolution(seconds)) is None
+    ):
         return None
     # Steps that seldom differ are lost rows, or errors: of rounded times many differ.
     _, counts = np.unique(np.round(moves / resolution), return_counts=True)
