@@ -51,11 +51,10 @@ def snapped(seconds: Float[np.ndarray, " row"]) -> RowGrid | None:
     (0.01, 0.03333)
     """
     moves = np.diff(seconds)
-    if (
-        seconds.size < _FEWEST
-        or (moves < 0.0).any()
-        or (resolution := _resolution(seconds)) is None
-    ):
+    if seconds.size < _FEWEST or (moves < 0.0).any():
+        return None
+    resolution = _resolution(seconds)
+    if resolution is None:
         return None
     # Steps that seldom differ are lost rows, or errors: of rounded times many differ.
     _, counts = np.unique(np.round(moves / resolution), return_counts=True)
