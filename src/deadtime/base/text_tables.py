@@ -111,7 +111,7 @@ def read_text_table(
     every = re.split(r"\r\n|\n|\r", text)
     marked = {k: match[1] for k, line in enumerate(every, 1) if (match := _COMMENT.match(line))}
     kept = [k for k, line in enumerate(every, 1) if k not in marked and line.strip()]
-    lines = _Rows(kept, [every[k - 1] for k in kept])
+    lines = _Lines(kept, [every[k - 1] for k in kept])
     if kept and (match := re.fullmatch(r"\s*sep=(.)\s*", lines.rows[0])):  # Excel's own line
         sep = sep or match[1]
         lines = lines.since(1)
@@ -214,14 +214,14 @@ def advice_on(cell: str) -> str:
     return "leave the cell empty where nothing was measured."
 
 
-class _Rows(NamedTuple):
+class _Lines(NamedTuple):
     """Lines, or their cells, with their numbers."""
 
     numbers: list[int]
     rows: list
 
-    def since(self, first: int) -> _Rows:
-        return _Rows(self.numbers[first:], self.rows[first:])
+    def since(self, first: int) -> _Lines:
+        return _Lines(self.numbers[first:], self.rows[first:])
 
 
 def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
@@ -247,10 +247,10 @@ def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
     return text, said
 
 
-def _cells(name: str, lines: _Rows, sep: str) -> _Rows:
+def _cells(name: str, lines: _Lines, sep: str) -> _Lines:
     """The cells of lines."""
     if sep == " ":
-        return _Rows(lines.numbers, [line.split() for line in lines.rows])
+        return _Lines(lines.numbers, [line.split() for line in lines.rows])
     reader, rows, numbers = csv.reader(lines.rows, delimiter=sep, skipinitialspace=True), [], []
     try:
         for cells in reader:
@@ -261,12 +261,12 @@ def _cells(name: str, lines: _Rows, sep: str) -> _Rows:
         raise ArgumentError(f"{name}, line {number}: {error}.") from None
     if any(" " in line or "\t" in line for line in lines.rows):
         rows = [[cell.strip() for cell in cells] for cells in rows]
-    return _Rows([lines.numbers[k - 1] for k in numbers], rows)
+    return _Lines([lines.numbers[k - 1] for k in numbers], rows)
 
 
 def _divided(
-    name: str, sep: str | None, lines: _Rows, comments: dict[int, str], wanted: Sequence[str]
-) -> tuple[list[int], _Rows, str]:
+    name: str, sep: str | None, lines: _Lines, comments: dict[int, str], wanted: Sequence[str]
+) -> tuple[list[int], _Lines, str]:
     """The lines before the header, the rows from it on, and the separator."""
     given = [" " if sep in (r"\s+", "whitespace") else sep] if sep else list(_SEPARATORS)
     unnamed = None
@@ -276,7 +276,7 @@ def _divided(
                 r'sep, --sep, must be one character, such as ";", or "\s+" for blanks, got '
                 f"{one!r}."
             )
-        some = _cells(name, _Rows(lines.numbers[:_LOOKED_AT], lines.rows[:_LOOKED_AT]), one)
+        some = _cells(name, _Lines(lines.numbers[:_LOOKED_AT], lines.rows[:_LOOKED_AT]), one)
         counts = Counter(map(_width, some.rows[len(some.rows) // 2 :]))
         width = max(counts, key=lambda size: (counts[size], size))
         if width < 2 and not (sep and len(some.rows) > 1):
@@ -287,10 +287,10 @@ def _divided(
         # NumPy and MATLAB write names as the last comment before the numbers.
         above = [number for number in comments if number < some.numbers[0]][-1:]
         if above:
-            called = _cells(name, _Rows(above, [comments[above[0]]]), one)
+            called = _cells(name, _Lines(above, [comments[above[0]]]), one)
             if len(called.rows) == 1 and len(called.rows[0]) == width:
                 rows = _cells(name, lines, one)
-                return [], _Rows(above + rows.numbers, called.rows + rows.rows), one
+                return [], _Lines(above + rows.numbers, called.rows + rows.rows), one
         if counts[width] > len(some.rows) // 4 and any(map(looks_numeric, some.rows[0])):
             first = next(k for k, row in enumerate(some.rows) if _width(row) == width)
             unnamed = unnamed or some.numbers[first]
