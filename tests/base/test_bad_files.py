@@ -41,7 +41,8 @@ def test_a_folder_a_lack_of_rights_and_a_foreign_encoding_are_refused(read, kind
     assert "Is a directory" in refused(read, kind, tmp_path)
     path = tmp_path / "file"
     path.write_bytes("é".encode("latin-1"))
-    assert "is not UTF-8 text" in refused(read, kind, path)
+    other = "must have the columns" if kind is dt.ArgumentError else "is not UTF-8 text"
+    assert other in refused(read, kind, path)  # logs are read in other encodings, too
     path.chmod(0)
     if not os.access(path, os.R_OK):  # root may read all
         assert "Permission denied" in refused(read, kind, path)

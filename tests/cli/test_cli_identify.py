@@ -56,6 +56,45 @@ def test_a_log_becomes_a_table_a_problem_and_a_verdict(folder, capsys):
     assert (folder / "fit.svg").read_text(encoding="utf-8").count("<svg") == 1
 
 
+def test_a_file_of_another_program_is_read_by_the_options_that_its_refusal_names(folder, capsys):
+    table = pd.read_csv(folder / "log.csv")
+    stamps = pd.Timestamp("2026-03-02 08:15:00") + pd.to_timedelta(table["t"], unit="s")
+    names = {"t": "Time", "x": "Level [cm]", "u": "Pump, main"}
+    plant = table.assign(t=stamps.dt.strftime("%d.%m.%Y %H:%M:%S,%f")).rename(columns=names)
+    path = folder / "plant.csv"
+    plant.to_csv(path, index=False, sep=";", decimal=",")
+    code, _, error = said([path], capsys)
+    assert code == 2
+    advice = '--time Time --states "Level [cm]" --inputs "Pump, main"'
+    assert f"For this file perhaps: deadtime identify {path} {advice}" in error
+    given = ["--time", "Time", "--states", "Level [cm]", "--inputs", "Pump, main"]
+    code, out, _ = said([path, *given, "--delay", 0, 1, "--json"], capsys)
+    record = json.loads(out)
+    assert code == 0
+    assert record["read_as"] == [
+        "Read as: columns separated by semicolons, decimal commas; times dd.mm.yyyy hh:mm:ss from "
+        "2026-03-02 08:15:00.",
+        "No column mode: one mode.",
+    ]
+    assert record["sentences"][-2:] == record["read_as"]
+    plain = said([folder / "log.csv", "--delay", 0, 1, "--json"], capsys)[1]
+    np.testing.assert_allclose(record["delays"], json.loads(plain)["delays"], rtol=1e-9)
+
+
+def test_switching_is_fitted_to_a_file_of_another_program(tmp_path, capsys):
+    modes = np.resize(["open", "shut"], 60)
+    time = np.cumsum(np.random.default_rng(1).uniform(1.0, 3.0, 60)).round(2)
+    table = pd.DataFrame({"Time [s]": time, "Valve": modes})
+    table.to_csv(tmp_path / "log.csv", index=False, sep=";", decimal=",")
+    given = [tmp_path / "log.csv", "--time", "Time [s]", "--mode", "Valve", "--labels.open", 0]
+    given += ["--labels.shut", 1, "--out", tmp_path / "fit.png", "--json"]
+    with pytest.raises(SystemExit) as stopped:
+        main(["fit", *map(str, given)])
+    record = json.loads(capsys.readouterr().out)
+    assert stopped.value.code == 0
+    assert record["read_as"] == ["Read as: columns separated by semicolons, decimal commas."]
+
+
 def test_a_delay_beyond_the_range_is_not_found_and_the_exit_code_says_so(folder, capsys):
     out = folder / "short.toml"
     code, text, _ = said(
@@ -108,7 +147,7 @@ def test_columns_have_commas_between_them_or_in_them(folder, capsys):
 
 def test_what_cannot_be_done_is_one_line(folder, capsys):
     log = folder / "log.csv"
-    assert said([log], capsys)[0] == 2
+    assert said([log, "--modes", "gear"], capsys)[0] == 2
     assert "logs must be given" in said([], capsys)[2]
     assert "law needs beside" in said([log, "--one-mode", "--law", "mean"], capsys)[2]
     assert (

@@ -7,7 +7,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 import deadtime as dt
 from deadtime.identification.identifiability import fed_back
-from deadtime.identification.log.recording import read_recording
+from deadtime.identification.log.read_recording import read_recording
 from synthetic_logs import Plant
 
 H = 0.05

@@ -215,13 +215,13 @@ def put(column, row, value):
 @pytest.mark.parametrize(
     ("log", "how", "said"),
     [
-        (GOOD, {"modes": "mode"}, "must have the column 'mode'.*modes=None"),
+        (GOOD, {"modes": "gear"}, "must have the column 'gear'.*modes=None"),
         (changed(mode=[0] * 60 + [2] * 60), {"modes": "mode"}, "mode 1 is never visited"),
         (changed(mode=[0.0] * 60 + [np.nan] * 60), {"modes": "mode"}, "row 60: mode must be there"),
         (changed(u1=1.0), {}, "u1 must change"),
         (put("x1", 7, "much"), {}, "row 7: x1 must be a finite number, got 'much'"),
         (put("t", 7, np.nan), {}, "row 7: t must be a number"),
-        (put("t", 7, 0.3), {}, "row 7: t must be later than in the row before"),
+        (put("t", 7, 0.3), {}, "row 7: t must be later than in row 6"),
         (GOOD.drop(columns="t"), {}, "must have a column t"),
         (GOOD.drop(columns=["x1", "x2"]), {}, "must have columns x1, x2"),
         (GOOD[:9], {}, "too short.*is t in seconds"),

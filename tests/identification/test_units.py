@@ -8,7 +8,7 @@ import pytest
 
 import deadtime as dt
 from deadtime.identification.identifiability import counts_milliseconds
-from deadtime.identification.log.recording import read_recording
+from deadtime.identification.log.read_recording import read_recording
 from synthetic_logs import Plant, oscillator
 
 H = 0.05

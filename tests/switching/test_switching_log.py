@@ -52,8 +52,10 @@ def test_a_clock_that_counts_other_than_seconds_is_told(log, unit, scale):
     rows = "".join(f"{start + int(t * scale)},{mode}\n" for t, mode in ((0, 0), (0.35, 1), (2, 0)))
     signal = log("time,mode\n" + rows, unit=unit, end=float(start + 3 * scale))
     assert (signal.times.tolist(), signal.end) == ([0.0, 0.35, 2.0], 3.0)
-    with pytest.raises(dt.ArgumentError, match=r"clock starts at 1\.7638e\+.*say unit = "):
-        log("time,mode\n" + rows)
+    assert log("time,mode\n" + rows).times.tolist() == signal.times.tolist()
+    shifted = rows.replace(str(start)[:4], f"9{str(start)[1:4]}")
+    with pytest.raises(dt.ArgumentError, match=r"time starts at 9\.7638e\+.*say unit="):
+        log("time,mode\n" + shifted)
     assert log("time,mode\n" + rows, unit="s").times[1] == 0.35 * scale
 
 
@@ -76,7 +78,7 @@ def test_times_are_in_a_column_t_as_in_logs_of_a_plant(log, name):
     signal = log(f"x1,{name},mode\n0.5,{more}0,0\n0.7,{more}0.3,1\n0.6,{more}0.5,1\n")
     assert signal.times.tolist() == [0.0, 0.3]
     assert signal.end == 0.5
-    with pytest.raises(dt.ArgumentError, match=r"line 3: time must be a number|line 3: t must be"):
+    with pytest.raises(dt.ArgumentError, match=r"line 3: (time|t) must be a num"):
         log(f"{name},mode\n{more}0,0\n{more}soon,1\n")
 
 
@@ -87,9 +89,9 @@ HEAD = "time,mode\n0,0\n"
     ("text", "options", "message"),
     [
         ("s,mode\n0,0\n", {}, "must have the columns t (or time) and mode, got ['s', 'mode']"),
-        ("", {}, "must have the columns t (or time) and mode, got []"),
+        ("", {}, "is no CSV table with one header line: it is empty."),
         ("time,mode\n", {}, "must hold at least one row, got none."),
-        (HEAD + "soon,1\n", {}, "line 3: time must be a number, got 'soon'."),
+        (HEAD + "soon,1\n", {}, "line 3: time must be a number or a stamp such as"),
         (HEAD + "\n\nsoon,1\n", {}, "line 5: time must be a number"),
         (HEAD + "nan,1\n", {}, "line 3: time must be finite, got nan."),
         (

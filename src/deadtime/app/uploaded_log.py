@@ -14,14 +14,16 @@ import numpy as np
 from deadtime.app.documents import Document, file_stem, open_upload
 from deadtime.app.page_outcome import MOST_MODES
 from deadtime.base.errors import ArgumentError, DeadtimeError
+from deadtime.base.text_tables import looks_numeric
 from deadtime.identification import Identification, identify
 from deadtime.identification.identification_figure import likelihood_figure, quick_figures
 from deadtime.identification.log.read_tables import (
-    TIMES,
+    PLAIN,
     LogTable,
     columns_of,
-    numeric_column,
-    read_table,
+    table_of,
+    texts_of,
+    timed,
 )
 from deadtime.problems import load_problem
 from deadtime.reports.identification_report import (
@@ -136,37 +138,26 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
     """
     source = _write_upload(name, content, folder)
     try:
-        frame = read_table(source, MOST_ROWS + 1).rename(columns=lambda c: str(c).strip())
+        table = table_of(source, 0)._replace(name=source.name)
     except DeadtimeError as error:
         raise _without_folder(error, source) from None
     finally:
         source.unlink()
-    if len(frame) > MOST_ROWS:
+    if len(table.frame) > MOST_ROWS:
         raise ArgumentError(
             f"{source.name} has more than {MOST_ROWS:,} rows, the most that a page takes: use "
             "`deadtime identify`, which has no limit, or keep a stretch of the log."
         )
-    columns = list(frame.columns)
-    twice = {one for one in columns if columns.count(one) > 1}
-    if twice:
-        raise ArgumentError(
-            f"{source.name} must have a name of its own for every column, got {twice.pop()} twice."
-        )
-    clock = next((one for one in TIMES if one in columns), None)
-    if clock is None:
-        raise ArgumentError(
-            f"{source.name} must have a column t of times in seconds, got {', '.join(columns)}."
-        )
-    given = numeric_column(LogTable(frame, source.name, "line", 2), clock)  # or its refusal
-    steps = np.diff(given[np.isfinite(given)])
+    table, clock, seconds = timed(table, PLAIN)
+    frame, steps = table.frame, np.diff(seconds)
     step = float(np.median(steps)) if steps.size else np.nan
-    others = [one for one in columns if one != clock]
+    others = [one for one in frame.columns if one != clock]
     if len(others) > _MOST_COLUMNS:
         raise ArgumentError(
             f"{source.name} has {len(others)} columns beside {clock}, a page offers at most "
             f"{_MOST_COLUMNS}: leave those out that are no states, inputs or modes."
         )
-    numbers = tuple(one for one in others if _is_of_numbers(frame[one]))
+    numbers = tuple(one for one in others if _is_of_numbers(table, one))
     few = tuple(one for one in others if frame[one].drop_duplicates().size <= MOST_MODES)
     states, inputs = columns_of(others, "x"), columns_of(others, "u")
     words = [one for one in few if one not in numbers]
@@ -180,14 +171,10 @@ def look_at(name: str, content: bytes, folder: Path) -> Columns:
     return Columns(len(frame), step, tuple(others), numbers, few, guess, sure)
 
 
-def _is_of_numbers(column: Any) -> bool:
+def _is_of_numbers(table: LogTable, column: str) -> bool:
     """Whether most values of a column are numbers; `identify` reports the others."""
-    import pandas as pd
-
-    present = np.asarray(column.notna())
-    return 2 * np.isfinite(np.asarray(pd.to_numeric(column, errors="coerce"), float)).sum() > (
-        present.sum()
-    )
+    cells = [cell for cell in texts_of(table, column) if cell]
+    return 2 * sum(map(looks_numeric, cells)) > len(cells)
 
 
 def open_log(

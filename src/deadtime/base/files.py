@@ -29,7 +29,34 @@ def read_text(
     called: str = "",
     hint: str = "",
 ) -> str:
-    """The text of a file or pipe in UTF-8, without a byte-order mark.
+    """The text of a file or pipe in UTF-8, without a byte-order mark: see `read_bytes`.
+
+    Raises
+    ------
+    ArgumentError
+        Of the given kind, in one line: if it cannot be read, or is not UTF-8.
+    """
+    content = read_bytes(path, most, kind, called=called, hint=hint)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise kind(f"{called or shown(path)} is not UTF-8 text: save it as UTF-8.") from None
+
+
+def shown(path: str | PathLike[str]) -> str:
+    """A path in a message: control characters in it would break the line."""
+    return str(path) if str(path).isprintable() else ascii(str(path))
+
+
+def read_bytes(
+    path: str | PathLike[str],
+    most: int,
+    kind: type[ArgumentError] = ArgumentError,
+    *,
+    called: str = "",
+    hint: str = "",
+) -> bytes:
+    """The content of a file or pipe.
 
     Parameters
     ----------
@@ -47,17 +74,16 @@ def read_text(
     Raises
     ------
     ArgumentError
-        Of the given kind, in one line: if it cannot be read, is neither file nor pipe, is too
-        large, or is not UTF-8.
+        Of the given kind, in one line: if it cannot be read, is neither file nor pipe, or is too
+        large.
 
     Examples
     --------
-    >>> read_text("/dev/zero", 1000)
+    >>> read_bytes("/dev/zero", 1000)
     Traceback (most recent call last):
     deadtime.ArgumentError: /dev/zero is neither a file nor a pipe: give a file.
     """
-    # A name may contain control characters, which would break the line of the message.
-    called = called or (str(path) if str(path).isprintable() else ascii(str(path)))
+    called = called or shown(path)
     try:
         with Path(path).open("rb") as file:
             status = fstat(file.fileno())
@@ -73,10 +99,7 @@ def read_text(
         raise kind(f"{called} cannot be read: no file can have such a name.") from None
     if max(len(content), status.st_size) > most:
         raise kind(f"{called} has more than {most / 1e6:,.0f} MB: it is no file of this kind.")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise kind(f"{called} is not UTF-8 text: save it as UTF-8.") from None
+    return content
 
 
 class Staging:

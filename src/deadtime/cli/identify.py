@@ -73,6 +73,11 @@ def identify(
     rest: Annotated[bool | None, Parameter(negative="--no-rest")] = None,
     hold: Literal["held", "linear"] | None = None,
     test: list[str] | None = None,
+    time: str | None = None,
+    step: float | None = None,
+    sep: str | None = None,
+    decimal: str | None = None,
+    on_change: list[str] | None = None,
     beside: Path | None = None,
     law: str | None = None,
     out: options.File = None,
@@ -88,9 +93,11 @@ def identify(
     Parameters
     ----------
     logs
-        CSV files with columns t (or time, seconds), x1, x2, …, u1, u2, … and the mode.
+        Text files with columns t (or time), x1, x2, …, u1, u2, … and the mode; separators, decimal
+        commas, stamps, units and lines before the header are recognised.
     modes
-        Column of the mode; for modes that were not logged their number, or a range such as 1..3.
+        Column of the mode, if not mode; without one the plant has one mode. For modes that were not
+        logged their number, or a range such as 1..3.
     one_mode
         The plant has one mode, and the log no mode column.
     delay
@@ -126,6 +133,16 @@ def identify(
     test
         Another log to validate the plant with; or half, or a share such as 0.3, to hold out the
         last rows for that. The option may be repeated.
+    time
+        Column of the times, if not t or time: seconds, stamps, or a clock that counts from 1970.
+    step
+        Sampling period of a log without times, seconds.
+    sep
+        Separator of columns, such as ";"; found by default.
+    decimal
+        Sign of decimals, "." or ","; found by default.
+    on_change
+        Columns of inputs, or of the mode, in whose empty cells the value before still holds.
     beside
         A problem file with a law, whose delay margin is compared with the delay's interval.
     law
@@ -155,7 +172,8 @@ def identify(
     require_writable("out", out)
     figure = None if figure is None else output_file("figure", figure)
     require_writable("report", report, (".html", ".htm"))
-    tests = [] if isinstance(tested := _test(test), float | str | None) else tested
+    tested = _test(test)
+    tests = tested if isinstance(tested, list) else []
     _require_apart([*logs, beside, *tests], [out, figure, report])
     whose = _law_of(beside, law)
     failed = None
@@ -167,15 +185,20 @@ def identify(
             per_mode=per_mode,
             noise=noise,
             switches=switches,
-            states=_columns(states, logs[0]),
-            inputs=_columns(inputs, logs[0]),
-            outputs=_columns(outputs, logs[0]),
+            states=_columns(states, logs[0], sep),
+            inputs=_columns(inputs, logs[0], sep),
+            outputs=_columns(outputs, logs[0], sep),
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
             model=model,
             rest=rest,
             hold=hold,
             test=tested,
+            time=time,
+            step=step,
+            sep=sep,
+            decimal=decimal,
+            on_change=_columns(on_change, logs[0], sep) or (),
             progress=stage,
         )
         sentences = [with_options(one) for one in fit.sentences]
@@ -211,8 +234,10 @@ def identify(
 
 def _test(given: list[str] | None) -> str | float | list[Path] | None:
     """ "half", a share, or paths of logs."""
-    if given is None or given == ["half"]:
-        return given and given[0]
+    if given is None:
+        return None
+    if given == ["half"]:
+        return "half"
     try:
         return float(given[0]) if len(given) == 1 else [Path(one) for one in given]
     except ValueError:
@@ -267,13 +292,13 @@ def _modes(text: str) -> str | int | range:
     return first if last is None else range(first, int(last) + 1)
 
 
-def _columns(given: list[str] | None, log: Path) -> list[str] | None:
+def _columns(given: list[str] | None, log: Path, sep: str | None) -> list[str] | None:
     """Names split at commas, except columns of the log whose names contain commas."""
     if given is None or not any("," in text for text in given):
         return given
-    from deadtime.identification.log.read_tables import read_table
+    from deadtime.base.text_tables import read_text_table
 
-    whole = {str(name).strip() for name in read_table(log, 0).columns}
+    whole = read_text_table(log, sep).columns
     parts = [[text] if text in whole else text.split(",") for text in given]
     return [name.strip() for texts in parts for name in texts]
 
@@ -334,6 +359,7 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "log_likelihood": fit.log_likelihood,
         "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
         "validation": fit.validation and record(fit.validation, *_OF_VALIDATION),
+        "read_as": fit.read_as,
         "sentences": sentences,
     }
 
@@ -354,6 +380,10 @@ def fit(
     first: Literal["whole", "drop"] = "whole",
     labels: dict[str, int] | None = None,
     unit: Literal["s", "ms", "us", "ns"] | None = None,
+    time: str | None = None,
+    mode: str = "mode",
+    sep: str | None = None,
+    decimal: str | None = None,
     dwell_time: str | None = None,
     maximum_dwell: str | None = None,
     step: float | None = None,
@@ -365,7 +395,7 @@ def fit(
     Parameters
     ----------
     logs
-        CSV files with the columns t (or time) and mode, as for identify.
+        Text files with the columns t (or time) and mode, as for identify.
     family
         Family of the sojourns: exponential, shifted exponential, gamma, weibull, uniform,
         lognormal, fixed; auto takes the best.
@@ -374,7 +404,15 @@ def fit(
     labels
         Mode of each text in the logs, such as --labels.idle 0 --labels.busy 1.
     unit
-        Unit of the times; s by default.
+        Unit of times that are numbers; s by default, or what counts from 1970 to a date of today.
+    time
+        Column of the times, if not t or time.
+    mode
+        Column of the mode.
+    sep
+        Separator of columns, such as ";"; found by default.
+    decimal
+        Sign of decimals, "." or ","; found by default.
     dwell_time
         Known shortest sojourn, seconds, or one per mode separated by commas: families are
         truncated there.
@@ -389,13 +427,17 @@ def fit(
     from deadtime.problems.switching_assumptions import one_or_all
     from deadtime.reports.fit import HEADINGS, fit_record, fit_rows, fit_sentence, plot_fit
     from deadtime.switching import SwitchingSignal
+    from deadtime.switching.log import read_log
     from deadtime.switching.models.markov_chain import MarkovChain
     from deadtime.switching.models.semi_markov import SemiMarkov
 
     if not logs:
         raise ArgumentError("logs must be given: the CSV files to fit a model to.")
     picture = output_file("out", out, "fit")
-    signals = [SwitchingSignal.from_csv(log, labels=labels, unit=unit) for log in logs]
+    given = {"labels": labels, "unit": unit, "time": time, "mode": mode}
+    read = [read_log(log, **given, sep=sep, decimal=decimal) for log in logs]
+    signals = [SwitchingSignal.of_log(one) for one in read]
+    read_as = list(dict.fromkeys(one.read_as for one in read if one.read_as))
     if step is not None:
         if family != "auto" or any(one is not None for one in (dwell_time, maximum_dwell, out)):
             raise ArgumentError(
@@ -405,7 +447,7 @@ def fit(
         chain = MarkovChain.fit(signals, step)
         record = {"P": chain.P.tolist(), "step": chain.step} | _off_grid(signals, chain.step)
         if json_output:
-            print_json(record, [])
+            print_json(record | {"read_as": read_as}, [])
             return
         between, switches = record["off_grid"], record["switches"]
         if between:
@@ -413,6 +455,8 @@ def fit(
                 f"# Between samples of {chain.step:g} s: {between:,} of {switches:,} switches; "
                 "the chain moves each to the next sample."
             )
+        for sentence in read_as:
+            print(f"# {sentence}")
         print(chain.section())
         return
     least, most = (
@@ -426,10 +470,13 @@ def fit(
     names = [texts.get(mode, f"mode {mode}") for mode in range(model.modes)]
     save_figure(plot_fit(model, signals, names, first=first), picture)
     if json_output:
-        print_json(fit_record(model, names), [picture])
+        print_json(fit_record(model, names) | {"read_as": read_as}, [picture])
         return
     print_answer(fit_sentence(model, names), "")
     print_table(HEADINGS, fit_rows(model, names))
+    if read_as:
+        print()
+        print_details(read_as)
     print(f"\n{model.section()}")
     print(f"\nFigure: {picture}")
 

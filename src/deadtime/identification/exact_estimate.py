@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.identification.estimate import Estimate
-from deadtime.identification.identifiability import reasons
+from deadtime.identification.identifiability import reasons, require_enough
 from deadtime.identification.intervals import Peak, spread_of
 from deadtime.identification.levels import without_level
 from deadtime.identification.likelihoods.likelihood import (
@@ -43,8 +43,9 @@ def estimate_exactly(
         layout, recording = log.layout, log.recording
         best, window = maximise(log, best.theta[kept])
     terms = log.terms_in(*window)(log.cells(best.theta))(best.theta)
-    F, covariances = concentrated(terms, layout.size)
     counts = np.array([term.periods for term in terms])
+    require_enough(recording, layout, counts, bounds[1])
+    F, covariances = concentrated(terms, layout.size)
     spare = np.maximum(counts - layout.n - layout.acting - 1, 1)
     parts = [concentrated([term], layout.size)[0].information for term in terms]
     known = np.einsum("i,iab->ab", spare / counts, parts)

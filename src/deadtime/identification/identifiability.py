@@ -6,7 +6,7 @@ Each is a correlation or a linear regression over the rows of a log, compared wi
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
@@ -118,7 +118,10 @@ def _follows(recording: Recording, j: int) -> bool:
 
 
 def require_enough(
-    recording: Recording, layout: Layout, count: Int[np.ndarray, " mode"], window: float
+    recording: Recording,
+    layout: Layout,
+    count: Int[np.ndarray, " mode"] | Float[np.ndarray, " mode"],
+    window: float,
 ) -> None:
     """Refuse a log with too few periods of a mode."""
     least = layout.least_periods
@@ -133,6 +136,11 @@ def require_enough(
                 "is t in seconds? Narrow delay=(low, high), in seconds, or log for longer"
             )
             hint += "." if len(recording.parts) == 1 else ", with no row lost."
+        if lost := sum(int((~part.logged).sum()) for part in recording.parts):
+            hint = (
+                f" {lost:,} rows are lost, and a period is of use only if no input is lost that "
+                "may act in it: narrow delay=(low, high), --delay LOW HIGH, or log without gaps."
+            )
         if (rows := _longest_stay(recording, int(i))) <= _BRIEF and layout.modes > 1:
             hint = (
                 f" It stays for {number_of(rows, 'row')} at a time, at most: put rows right whose "

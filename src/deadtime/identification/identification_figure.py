@@ -72,7 +72,8 @@ def rows_shown(fit: Findings, part: Part) -> str:
 
 
 def draw_modes(axes: Axes, fit: Findings, part: Part) -> None:
-    axes.step(part.time, part.mode, where="post", color=COLOURS[0])
+    mode = np.where(part.mode < 0, np.nan, part.mode)  # of lost rows
+    axes.step(part.time, mode, where="post", color=COLOURS[0])
     axes.set_yticks(range(fit.plant.modes), [plain(name) for name in fit.modes])
     axes.set_ylabel("mode")
 

@@ -60,6 +60,11 @@ class Findings(Frozen):
         return self.plant.delays
 
     @property
+    def read_as(self) -> tuple[str, ...]:
+        """How the files of the log were read, in sentences, where not as plain CSV files."""
+        return self._recording.read_as
+
+    @property
     def delays_not_found(self) -> tuple[str, ...]:
         """Names of the delays that fit best at an end of the range searched, other than 0."""
         layout = self._estimate.log.layout

@@ -33,7 +33,9 @@ from deadtime.identification.log.logged_states import (
     resting,
     sensors_of,
 )
-from deadtime.identification.log.recording import Recording, read_recording
+from deadtime.identification.log.read_recording import read_recording
+from deadtime.identification.log.read_tables import ReadOptions
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.log.unit_changes import require_same_units, require_seconds
 from deadtime.identification.noisy_estimate import (
     estimate_in_loop,
@@ -73,6 +75,11 @@ def identify(
     rest: bool | None = None,
     hold: str | None = None,
     test: str | PathLike[str] | float | pd.DataFrame | Sequence | None = None,
+    time: str | None = None,
+    step: float | None = None,
+    sep: str | None = None,
+    decimal: str | None = None,
+    on_change: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Identification:
     r"""The maximum-likelihood plant of a log: matrices, delays and noise, with intervals.
@@ -87,11 +94,12 @@ def identify(
     Parameters
     ----------
     log : path, DataFrame, or list of them
-        CSV with a header, or a table: columns t (seconds, rising), x1, x2, … (y1, y2, … with C or
+        A text file with a header, or a table: columns t (rising), x1, x2, … (y1, y2, … with C or
         order), u1, u2, … and the mode. An input is held until the next row: see `hold`. A
         missing measurement is an empty cell. The rows need not be evenly spaced.
     modes : str, None, int or sequence of int
-        The column of the mode, numbers or texts; None for a plant of one mode. For modes that were
+        The column of the mode, numbers or texts; None for a plant of one mode, which it also has if
+        there is no column mode and no other is named. For modes that were
         not logged their number, or several, such as ``range(1, 4)``, of which BIC selects one.
     delay : (low, high)
         The range in which all delays are searched, seconds.
@@ -128,6 +136,16 @@ def identify(
     test : "half", float, path, DataFrame, or list of them, optional
         Another log to validate the plant with, or the share of the log to hold out for that, of
         every log its last rows; "half" is 0.5. The plant is identified from the rest.
+    time : str, optional
+        The column of times, if not t or time: seconds, stamps such as 2026-03-02 08:15:00.5 or
+        02.03.2026 08:15, or a clock that counts from 1970.
+    step : float, optional
+        The sampling period of a log without times, seconds.
+    sep, decimal : str, optional
+        The separator of columns and the sign of decimals, as in pandas.read_csv; found by default.
+    on_change : sequence of str
+        Columns of inputs, or of the mode, in whose empty cells the value before still holds. By
+        default those that never repeat a value where chance would.
     progress : callable, optional
         Called with a few words at every stage.
 
@@ -181,6 +199,7 @@ def identify(
         inputs,
         letter,
         lambda parts, columns, *names: require_same_units(parts, columns, high, *names),
+        ReadOptions.of(time, step, sep, decimal, on_change),
     )
     recording = recording._replace(hold=degree or 0)
     require_seconds(recording, high)

@@ -85,10 +85,11 @@ def identify_hidden(
         if decoded is None:
             return None, sentences
         by_mode, record, chain = estimate(decoded), decoded.recording, decoded.log.jumps.chain
+        logged = np.concatenate([part.logged for part in record.parts])
         modes = HiddenModes(
-            time=np.concatenate([part.time for part in record.parts]),
-            mode=np.concatenate([part.mode for part in record.parts]),
-            probability=np.vstack(by_mode.node),
+            time=np.concatenate([part.time for part in record.parts])[logged],
+            mode=np.concatenate([part.mode for part in record.parts])[logged],
+            probability=np.vstack(by_mode.node)[logged],
             chain=chain,
             numbers=np.array([one.layout.modes for one in tried.fits]),
             bic=np.array([one.bic for one in tried.fits]),

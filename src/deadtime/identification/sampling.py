@@ -31,7 +31,7 @@ that period, and the product of the densities of x_{k+1} given all inputs is not
 **Uneven.** Φ and its integrals at the many times are interpolated between nodes, to round-off, so
 that all this is a regression again, on the weights of the nodes.
 
-Lost rows divide a log into parts (`Recording`).
+Lost rows are rows of NaN, and long gaps divide a log into parts (`Recording`).
 """
 
 from __future__ import annotations
@@ -231,14 +231,14 @@ class Sampling(Frozen, ABC):
         return self.hold + 2
 
     def fed(self, part: Part, longest: float, shortest: float) -> Bool[np.ndarray, " period"]:
-        """The periods whose acting inputs are known, for delays in a range, seconds."""
+        """The periods whose mode and acting inputs are known, for delays in a range, seconds."""
         t = part.time
         lost = np.concatenate(([0], np.cumsum(~np.isfinite(part.input).all(axis=1))))
         slack = _ROUND_OFF * float(np.median(np.diff(t)))
         oldest = np.searchsorted(t, t[:-1] - longest + slack, side="right") - 1
         newest = np.searchsorted(t, t[1:] - shortest - slack, side="left") + self.hold
         newest = np.maximum(np.minimum(newest, t.size), oldest + 1)
-        known = lost[newest] == lost[np.maximum(oldest, 0)]
+        known = (lost[newest] == lost[np.maximum(oldest, 0)]) & (part.mode[:-1] >= 0)
         return known if part.rests else known & (oldest >= 0)
 
     def acting(
@@ -328,7 +328,7 @@ class EvenSampling(Sampling):
 
         def periods(part: Part, rows: np.ndarray, _: np.ndarray) -> FilterPeriods:
             before = np.maximum(rows - 1, 0)
-            mode = part.mode[before]
+            mode = np.maximum(part.mode[before], 0)  # of lost rows, where filters start anew
             own = reads[mode], layout.constant, self.lags
             z = np.nan_to_num(acting_evenly(part, before, *own))
             added, by_added = np.zeros((rows.size, n)), np.zeros((rows.size, by_P.shape[1], n))
@@ -415,7 +415,7 @@ class UnevenSampling(Sampling):
         ]
 
         def periods(part: Part, rows: np.ndarray, fresh: np.ndarray) -> FilterPeriods:
-            mode = part.mode[np.maximum(rows - 1, 0)]
+            mode = np.maximum(part.mode[np.maximum(rows - 1, 0)], 0)
             interpolated = [np.zeros((rows.size, *one.shape[1:])) for one in tables[0]]
             added = np.zeros((rows.size, n))
             by_added = np.zeros((rows.size, (n * (n + acting) + m) * slopes, n))
@@ -458,7 +458,7 @@ class UnevenSampling(Sampling):
 def known_ends(part: Part, within: bool) -> Bool[np.ndarray, " period"]:
     """Whether states at both ends of a period are known, and the mode in it: see `Sampling`."""
     known = np.asarray(np.isfinite(part.output).all(axis=1))
-    good = known[:-1] & known[1:]
+    good = known[:-1] & known[1:] & (part.mode[:-1] >= 0)
     return good & (part.mode[:-1] == part.mode[1:]) if within else good
 
 

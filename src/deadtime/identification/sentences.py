@@ -63,6 +63,7 @@ def sentences_of(
     if recording.logged and not estimate.log.within:
         sentences.append("The mode is taken to change at samples only.")
     sentences += [why] if why else []
+    sentences += recording.read_as
     doubts = _doubts(estimate, recording)
     if outliers:
         doubts.append("a measurement lies farther off than chance makes it")

@@ -24,7 +24,8 @@ from deadtime.base.wording import amount
 from deadtime.identification.differences import CHANCE, ROUND_OFF, difference_of, inflation_of
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.logged_states import resting, still
-from deadtime.identification.log.recording import Recording, read_beside
+from deadtime.identification.log.read_recording import read_beside
+from deadtime.identification.log.recording import Recording
 from deadtime.identification.log.unit_changes import require_seconds
 from deadtime.identification.parameters import SensorMatrix
 from deadtime.identification.predictor import FreeRun, Predictor

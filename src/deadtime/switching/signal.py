@@ -19,6 +19,7 @@ from deadtime.base.checks import as_floats, brief, count, number, positive, real
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.switching.constraint import PerMode, SwitchingConstraint, least_slope
+from deadtime.switching.log import SwitchingLog, read_log, write_log
 from deadtime.switching.models.jump_process import JumpProcess, Quantiles, require_few
 from deadtime.switching.models.sojourns import Fixed, ShiftedExponential, truncate
 from deadtime.switching.signal_class import SignalClass
@@ -374,18 +375,23 @@ class SwitchingSignal(Frozen):
         end: float | None = None,
         dwell_time: float | None = None,
         unit: str | None = None,
+        time: str | None = None,
+        mode: str = "mode",
+        sep: str | None = None,
+        decimal: str | None = None,
     ) -> SwitchingSignal:
         """A signal from a log with columns `t` (or `time`) and `mode`: see `switching.log`."""
-        from deadtime.switching.log import read_log
-
-        log = read_log(path, modes=modes, labels=labels, end=end, unit=unit)
-        signal = cls(log.times, log.modes, log.end, initial_age=log.initial_age)
+        how = {"unit": unit, "time": time, "mode": mode, "sep": sep, "decimal": decimal}
+        signal = cls.of_log(read_log(path, modes=modes, labels=labels, end=end, **how))
         return signal if dwell_time is None else signal.require_dwell_time(dwell_time)
+
+    @classmethod
+    def of_log(cls, log: SwitchingLog) -> SwitchingSignal:
+        """The signal of a log that was read."""
+        return cls(log.times, log.modes, log.end, initial_age=log.initial_age)
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write a log that `from_csv` reads without loss."""
-        from deadtime.switching.log import SwitchingLog, write_log
-
         write_log(SwitchingLog(self.times, self.modes, self.end, self.initial_age), path)
 
     def __repr__(self) -> str:

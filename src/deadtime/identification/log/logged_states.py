@@ -88,17 +88,23 @@ def require_states(recording: Recording, names: Sequence[str]) -> None:
 
 
 def signals_of(recording: Recording) -> list[SwitchingSignal]:
-    """The logged modes of every log as a signal that begins at its first row.
+    """The logged modes as signals, each of rows whose modes are known.
 
     A mode that begins in the last row lasts one period.
     """
     signals = []
-    for part in recording.parts:
+    for part in (piece for whole in recording.parts for piece in _with_modes(whole)):
         first = np.flatnonzero(np.diff(part.mode, prepend=-1))
         time = part.time - part.time[0]
         end = max(float(time[-1]), float(time[first[-1]]) + recording.step)
         signals.append(SwitchingSignal(time[first], part.mode[first], end=end))
     return signals
+
+
+def _with_modes(part: Part) -> list[Part]:
+    """The stretches of a part without lost rows, whose modes are unknown."""
+    rows = np.flatnonzero(part.mode >= 0)
+    return [part.rows(own) for own in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)]
 
 
 def fit_switching(recording: Recording) -> tuple[SemiMarkov | None, str]:

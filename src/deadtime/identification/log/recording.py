@@ -1,43 +1,24 @@
-"""Logs from CSV files or tables as arrays, split where rows are lost; errors name the line.
-
-The sampling period is the median distance of rows; rows are even if all lie on its grid to 1 %.
-"""
+"""Logs as arrays: parts with rows at rising times, and all logs of one plant."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from deadtime.base.checks import brief, read_only
+from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.read_tables import (
-    LogTable,
-    absent_modes,
-    chosen_columns,
-    label,
-    labels_among,
-    labels_of,
-    mode_column,
-    numeric_column,
-    table_of,
-)
-from deadtime.switching.log import TIMES
+from deadtime.identification.log.read_tables import PLAIN, ReadOptions
 
 # Stretches of a long log that represent all of it.
 _STRETCHES = 10
-# Of a period: times rounded by a clock to this accuracy are still on the grid.
-ROUNDED = 0.01
-_NAMED = re.compile(r"(\w[ _]?\[?\d*\]?): *(.+)")
 
 
 class Part(NamedTuple):
-    """One log: samples at rising times; a missing measurement is NaN.
+    """One log: samples at rising times; a missing measurement is NaN, a mode that is unknown −1.
 
     rests : whether inputs before the first row equal those of the first row
     after_gap : whether lost rows precede the first row
@@ -49,6 +30,11 @@ class Part(NamedTuple):
     mode: Int[np.ndarray, " sample"]
     rests: bool = False
     after_gap: bool = False
+
+    @property
+    def logged(self) -> Bool[np.ndarray, " sample"]:
+        """The rows of which something is known: others were lost."""
+        return np.asarray(np.isfinite(np.hstack((self.output, self.input))).any(axis=1))
 
     def rows(self, own: Int[np.ndarray, " row"] | slice) -> Part:
         """Some consecutive rows; inputs before them are unknown unless the first row is kept."""
@@ -84,11 +70,12 @@ class Level(NamedTuple):
 
 
 class LogColumns(NamedTuple):
-    """The columns of a log's tables: of the mode, if it was logged, outputs and inputs."""
+    """The columns of a log's tables, of the mode if it was logged, and how files were read."""
 
     mode: str | None
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
+    options: ReadOptions = PLAIN
 
 
 class Recording(NamedTuple):
@@ -103,6 +90,7 @@ class Recording(NamedTuple):
     constants : names and values of inputs that never move and are left out
     hold : the degree of the inputs between samples, 0 where they are held, 1 where linear
     columns, logs : the columns that were read, and the names of the logs
+    read_as : sentences on how the files were read
     """
 
     parts: tuple[Part, ...]
@@ -118,6 +106,7 @@ class Recording(NamedTuple):
     hold: int = 0
     columns: LogColumns = LogColumns(None, (), ())
     logs: tuple[str, ...] = ()
+    read_as: tuple[str, ...] = ()
 
     def about(self, level: Level) -> Recording:
         """The recording with a level subtracted."""
@@ -136,7 +125,8 @@ class Recording(NamedTuple):
 
     @property
     def samples(self) -> int:
-        return sum(part.time.size for part in self.parts)
+        """The number of rows, without lost ones."""
+        return sum(int(part.logged.sum()) for part in self.parts)
 
     @property
     def by_log(self) -> list[tuple[Part, ...]]:
@@ -170,7 +160,7 @@ class Recording(NamedTuple):
                 f"{self.samples} rows: log for longer, or give a second log."
             )
         columns = self.columns.inputs
-        first, moving, constants = _moving(tuple(kept), columns)
+        first, moving, constants = moving_inputs(tuple(kept), columns)
         own = [columns.index(name) for name in moving]
         changed = [
             (name, value)
@@ -213,160 +203,7 @@ class Recording(NamedTuple):
         return int(np.ceil(delay / self.step)) + 1
 
 
-Check = Callable[
-    [tuple[Part, ...], tuple[Sequence[str], Sequence[str]], list[str], Callable[[int, int], str]],
-    None,
-]
-
-
-def read_recording(
-    logs: Any,
-    modes: str | None,
-    states: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
-    letter: str = "x",
-    check: Check | None = None,
-) -> Recording:
-    """The recording of a log or a list of logs: paths of CSV files, or pandas tables.
-
-    modes : the column of the mode; None for one mode
-    states, inputs : their columns; by default those named by `letter` (y for outputs) or u, alone
-        or with a number, after which a name may follow, as in "x1: position (m)"
-    check : called with the logs, the columns of outputs and of inputs, the names of logs, and a
-        function that names a row of a log
-    """
-    tables = _tables(logs, "log")
-    column = mode_column(tables, modes)
-    measured = "states" if letter == "x" else "outputs"
-    names = chosen_columns(tables[0], letter, states, measured)
-    acting = chosen_columns(tables[0], "u", inputs, "inputs")
-    _require_one_role({measured: names, "inputs": acting})
-    _require_rows(tables)
-    labels = labels_of(tables, column)
-    parts = tuple(_part(table, names, acting, column, labels) for table in tables)
-    parts, acting, constants = _moving(parts, acting)
-    if check is not None:
-        called = [table.name for table in tables]
-        check(parts, (names, acting), called, lambda i, k: tables[i].place(k))
-    parts = _split_at_gaps(parts)
-    # The name of a column "x1: position (m)" is the text after the colon.
-    called, moved = (
-        tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
-        for columns in (names, acting)
-    )
-    return Recording(
-        parts,
-        *_period(parts),
-        called,
-        moved,
-        tuple(labels),
-        logged=column is not None,
-        absent=absent_modes(tables, column, labels),
-        constants=constants,
-        columns=LogColumns(column, names, acting),
-        logs=tuple(f"{t.name}[0]" if t.name == "log" and tables[1:] else t.name for t in tables),
-    )
-
-
-def read_beside(logs: Any, recording: Recording, argument: str) -> Recording:
-    """Other logs of the plant of a recording: of its columns and modes; inputs may be constant.
-
-    Its `constants` are those inputs that had another value in the recording.
-    """
-    tables = _tables(logs, argument)
-    column, names, acting = recording.columns
-    mode_column(tables, column)
-    labels = labels_among(tables, column, recording.modes)
-    _require_rows(tables)
-    parts = _split_at_gaps(tuple(_part(one, names, acting, column, labels) for one in tables))
-    moved = tuple(
-        (name, value)
-        for name, value in recording.constants
-        for table in tables
-        if name in table.frame.columns and (numeric_column(table, name) != value).any()
-    )
-    step, even = _period(parts)
-    return recording._replace(
-        parts=parts,
-        step=step,
-        even=even,
-        absent=(),
-        level=None,
-        constants=tuple(dict.fromkeys(moved)),
-        logs=tuple(table.name for table in tables),
-    )
-
-
-def _tables(logs: Any, argument: str) -> list[LogTable]:
-    given = list(logs) if isinstance(logs, list | tuple) else [logs]
-    if not given:
-        raise ArgumentError(
-            f"{argument} must be a path, a table or a list of them, got an empty list."
-        )
-    return [table_of(log, number, argument) for number, log in enumerate(given)]
-
-
-def _require_rows(tables: list[LogTable]) -> None:
-    for table in tables:
-        if len(table.frame) < 3:
-            raise ArgumentError(
-                f"{table.name} must have at least 3 rows, got {len(table.frame)}: log for longer."
-            )
-
-
-def _require_one_role(roles: dict[str, tuple[str, ...]]) -> None:
-    """Refuse a column with two roles, such as a state that is also an input."""
-    taken: dict[str, str] = dict.fromkeys(TIMES, "time")
-    for role, columns in roles.items():
-        for column in columns:
-            before = taken.setdefault(column, role)
-            if before != role or columns.count(column) > 1:
-                both = f"{before} and {role}" if before != role else role
-                options = f"{role}=[…], --{role}"
-                if before in roles and before != role:
-                    options = f"{before}=[…], --{before}, and {options}"
-                raise ArgumentError(
-                    f"{both} must be different columns, got {column!r} twice: say which are "
-                    f"which by {options}."
-                )
-
-
-def _part(
-    table: LogTable,
-    names: tuple[str, ...],
-    inputs: tuple[str, ...],
-    column: str | None,
-    labels: dict[str, int],
-) -> Part:
-    clock = next((name for name in TIMES if name in table.frame.columns), None)
-    if clock is None:
-        raise ArgumentError(
-            f"{table.name} must have a column t of times in seconds, got "
-            f"{brief(list(table.frame.columns))}: name it t, and divide it by 1,000 where it "
-            "counts milliseconds."
-        )
-    time = numeric_column(table, clock)
-    if np.isnan(time).any():
-        where = table.place(int(np.flatnonzero(np.isnan(time))[0]))
-        raise ArgumentError(f"{where}: {clock} must be a number, got none: leave the row out.")
-    late = np.flatnonzero(np.diff(time) <= 0.0)
-    if late.size:
-        raise ArgumentError(
-            f"{table.place(int(late[0]) + 1)}: {clock} must be later than in the row before, got "
-            f"{time[late[0] + 1]:.9g} after {time[late[0]]:.9g}: sort the log and keep one row per "
-            "instant."
-        )
-    output = np.column_stack([numeric_column(table, name) for name in names])
-    u = np.column_stack([numeric_column(table, name) for name in inputs])
-    mode = np.zeros(time.size, np.int64)
-    if column is not None:
-        codes, values = table.frame[column].factorize()
-        mode = np.array([labels[label(value)] for value in values])[codes]
-    time, output, u, mode = map(read_only, (time, output, u, mode))
-    return Part(time, output, u, mode)
-
-
-def _moving(
+def moving_inputs(
     parts: tuple[Part, ...], inputs: tuple[str, ...]
 ) -> tuple[tuple[Part, ...], tuple[str, ...], tuple[tuple[str, float], ...]]:
     """Logs with the inputs that change, their names, and the constant inputs with their values."""
@@ -391,29 +228,3 @@ def _moving(
     own = np.flatnonzero(moves)
     kept = tuple(part._replace(input=read_only(part.input[:, own])) for part in parts)
     return kept, tuple(name for name, _, moving in each if moving), constants
-
-
-def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
-    """The sampling period, and whether all samples lie on its grid."""
-    step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
-    whole = sum(part.time.size - 1 for part in parts)
-    mean = sum(float(part.time[-1] - part.time[0]) for part in parts) / whole
-    if abs(mean - step) < ROUNDED * step:
-        step = float(f"{mean:.10g}")  # a rounding clock is right on average
-    grid = [part.time - part.time[0] - step * np.arange(part.time.size) for part in parts]
-    off = max(float(np.abs(np.diff(part.time) - step).max()) for part in parts)
-    drift = max(float(np.abs(one).max()) for one in grid)
-    return step, off <= 2.0 * ROUNDED * step and drift <= 10.0 * ROUNDED * step
-
-
-def _split_at_gaps(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Logs divided where rows of an even one are lost: inputs are not known there."""
-    step = float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
-    pieces = []
-    for part in parts:
-        ends = np.flatnonzero(np.diff(part.time) > 1.5 * step) + 1
-        rows = np.split(np.arange(part.time.size), ends)
-        pieces += [part.rows(own)._replace(after_gap=bool(own[0])) for own in rows if own.size > 1]
-    if len(pieces) == len(parts) or not pieces or not _period(tuple(pieces))[1]:
-        return parts
-    return tuple(pieces)
