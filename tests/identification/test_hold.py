@@ -1,5 +1,7 @@
 """Inputs that change linearly between samples: the period's map, and held against linear."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -116,7 +118,7 @@ def test_the_likelihood_of_linear_inputs_has_no_kink_at_a_whole_number_of_period
     assert jumps[0] > 0.1
 
 
-LINEAR = {"hold": "linear"}
+LINEAR: Any = {"hold": "linear"}
 SPEAKS = "speaks for an input that changes linearly between samples"
 SUPPORTS = "The input is taken as held between samples: the log supports that."
 UNDECIDED = "does not tell whether the input is held between samples"

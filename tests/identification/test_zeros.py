@@ -31,7 +31,8 @@ def test_zeros_that_are_in_doubt_come_with_the_delay_the_other_way_round():
 def test_a_plant_with_a_zero_is_found_to_have_one_and_keeps_its_transfer_function():
     plant = Plant([[[-0.5, 2.0], [-2.0, -0.5]]], [[[1.0], [0.5]]], 0.23, 1e-3 * np.eye(2))
     C = [[1.0, 0.0]]
-    fit = dt.identify(logged(plant, C, 600, 2), modes=None, delay=(0.0, 1.0), order=2)
+    log = logged(plant, C, 600, 2)
+    fit = dt.identify(log, modes=None, delay=(0.0, 1.0), order=2, hold="held")
     assert "act on all of them" in fit.message
     wrong, names = misses(fit, plant, C, (2,))
     assert names == 4

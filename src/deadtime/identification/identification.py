@@ -209,7 +209,7 @@ class Identification(Findings):
         ...     x[k + 1] = 1.05 * x[k] + 0.06 * u[k - 3] + 0.04 * u[k - 2]
         ...     x[k + 1] += 0.005 * rng.standard_normal()
         >>> log = pd.DataFrame({"t": 0.1 * np.arange(200), "x": x, "u": u})
-        >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
+        >>> fit = dt.identify(log, modes=None, delay=(0.0, 1.0), hold="held")
         >>> law = dt.AveragedPredictor(fit.plant, dt.place(fit.plant, [-1.0]))
         >>> print(fit.verdict(dt.delay_margin(fit.plant, law, 0.1)))
         Delay 0.2594 s (0.2589 … 0.26); the law tolerates 0 … 1.054 s: enough.

@@ -640,7 +640,7 @@ def differences_of(hold: int) -> Float[np.ndarray, "difference lag"]:
     """
     from scipy.linalg import invpascal
 
-    return read_only(np.asarray(invpascal(hold + 2, kind="lower", exact=False)))
+    return read_only(np.asarray(invpascal(hold + 2, kind="lower", exact=False)) + 0.0)
 
 
 def _arriving(rest: float, step: float, hold: int) -> Float[np.ndarray, "derivative lag"]:
