@@ -10,10 +10,11 @@ import numpy as np
 
 from deadtime.base.checks import positive
 from deadtime.base.files import replacing
+from deadtime.identification.departures import departures_of
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.sentences import sentences_of, verdict_of
+from deadtime.identification.sentences import repeats, sentences_of, verdict_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,6 +55,10 @@ class Identification(Findings):
         The results in words.
     doubts : tuple of str
         Reasons why intervals may not contain the delays; then no verdict is "enough".
+    departures : tuple of Departure
+        What the log shows and the model lacks, such as a lag of the actuator: `name`, `statistic`
+        (the rise of 2 log L), `chance`, `sentence`, `advice`, and `others` that explain nearly as
+        much. Logs whose modes are hidden are not tested.
 
     Examples
     --------
@@ -68,7 +73,10 @@ class Identification(Findings):
         estimate, recording, C, states = log.estimate, log.recording, log.C, log.states
         estimate.require_inside()
         rest = rest_of(estimate, np.linalg.pinv(C))
-        sentences, doubts = sentences_of(estimate, recording, C, log.why, rest, states)
+        untimed = log.modes is not None or bool(repeats(recording))
+        departures = () if untimed else departures_of(estimate)
+        given = estimate, recording, C, log.why, rest, states, departures
+        sentences, doubts = sentences_of(*given)
         fit = cls(
             plant=estimate.plant,
             delay_interval=estimate.log.layout.spread(estimate.intervals),
@@ -85,6 +93,7 @@ class Identification(Findings):
             sentences=sentences,
             hidden=log.modes,
             doubts=(*doubts, *log.doubts),
+            departures=departures,
             _estimate=estimate,
             _recording=recording,
             _C=C,

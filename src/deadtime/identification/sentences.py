@@ -22,6 +22,7 @@ from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
+    from deadtime.identification.departures import Departure
     from deadtime.identification.identified_plant import Findings
     from deadtime.margins import DelayMargin
 
@@ -43,15 +44,19 @@ def sentences_of(
     why: str,
     rest: Rest | None,
     states: tuple[str, ...],
+    departures: tuple[Departure, ...] = (),
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Sentences on delays, operating point, noise, residuals and assumptions; and doubts.
 
     why : there is no switching model
     """
-    repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
+    repeated, outliers = repeats(recording), _outliers(estimate, recording, C)
     sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
     sentences += _levels(estimate, recording, rest, states)
-    sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
+    sentences += [
+        *_noise(estimate),
+        *_tests(estimate, recording, [*repeated, *outliers], departures),
+    ]
     sentences += _period(estimate, recording)
     for name in recording.absent:
         sentences.append(
@@ -65,7 +70,8 @@ def sentences_of(
     doubts = _doubts(estimate, recording)
     if outliers:
         doubts.append("a measurement lies farther off than chance makes it")
-    if repeats:
+    doubts += [departure.doubt for departure in departures]
+    if repeated:
         doubts.append("measurements are repeated, so that their times are not known")
     return tuple(sentences), tuple(doubts)
 
@@ -256,9 +262,16 @@ def _noise(estimate: Estimate) -> list[str]:
     return [f"Measurements are noisy: standard deviation {', '.join(deviations)}."]
 
 
-def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str]:
-    """Sentences on residuals, after those on odd readings."""
+def _tests(
+    estimate: Estimate,
+    recording: Recording,
+    odd: list[str],
+    departures: tuple[Departure, ...],
+) -> list[str]:
+    """Sentences on residuals, after those on odd readings; causes unless departures are known."""
     tests, sentences = estimate.tests, odd
+    if departures:
+        return [*odd, *(f"{one.sentence} {one.advice}" for one in departures)]
     if tests.white and tests.unrelated and not sentences:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
@@ -285,7 +298,7 @@ def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str
     return sentences
 
 
-def _repeats(recording: Recording) -> list[str]:
+def repeats(recording: Recording) -> list[str]:
     """Sentences on outputs that often repeat the value before, though values are not rounded."""
     sentences = []
     for column, name in enumerate(recording.outputs):

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
+from deadtime.identification.likelihoods.innovations import ExactInnovations
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import (
     Cells,
@@ -249,3 +250,7 @@ class ExactLog(PlantLikelihood):
             return lambda theta: concentrated(terms(theta), self.layout.size)[0]
 
         return within
+
+    def innovations_at(self, vector: Vector, window: Window) -> ExactInnovations:
+        """Errors of a period, for score tests; `window`: of the delays, seconds."""
+        return ExactInnovations.at(self, vector, window)

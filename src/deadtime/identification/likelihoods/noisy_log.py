@@ -42,6 +42,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
+from deadtime.identification.likelihoods.innovations import FilterInnovations
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.switched_filter import (
     Places,
@@ -313,6 +314,10 @@ class NoisyLog(SensorLikelihood):
         blocks = self.filter(vector, starts).innovations(Places.none(self.layout.modes))
         e, s = zip(*((block.e, block.s) for block in blocks), strict=True)
         return np.vstack(e), np.vstack(s)
+
+    def innovations_at(self, vector: Vector, window: Window) -> FilterInnovations:
+        """Innovations of the filter, for score tests; `window`: of the delays, seconds."""
+        return FilterInnovations.at(self, vector, window)
 
     def value(self, vector: Vector, starts: Starts) -> float:
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value

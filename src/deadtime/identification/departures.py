@@ -1,0 +1,570 @@
+"""Departures of a log from the model, each found by a score test and named, with what to do.
+
+An alternative adds to the model what it may lack: a lag, a rate limit, a saturation, a dead zone or
+backlash of an input, a delay of each mode, coloured noise, a drift of the level, or a load that
+begins at one time. Its direction is the response of all predictions to that addition alone, by the
+filter of the estimate (`innovations`), so that no alternative is fitted before it is significant.
+
+    lag          u(t − D) ← ∫ u(t − D + τ − s) e^{−s/τ} ds/τ,    a delay of mean D and variance τ²
+    input maps   u ← u + ε (f(u) − u),    f: clipped, less its dead zone, limited in rate, backlash
+    modes        D ← D_i
+    noise        e_k ← e_k + ρ e_{k−1} + … (Breusch and Godfrey)
+    level        c ← c + ε_a(t) e_a,    a step at one time, or a random walk
+
+A lag is a delay to first order, so that it is tested at several τ, each with the mean delay kept.
+All tests have one level by Bonferroni's correction. Several alternatives may explain the same
+residuals: the most significant one is reported, those that explain nearly as much are named with
+it, and others only if they are significant beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple, Protocol, cast, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from deadtime.identification.estimate import Estimate
+from deadtime.identification.likelihoods.innovations import Innovations
+from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
+from deadtime.identification.log.recording import Part
+from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.residuals import CHANCE
+from deadtime.identification.score_tests import (
+    Regression,
+    Score,
+    best_of_path,
+    random_walk,
+    together,
+)
+
+_ROWS = 4_000  # of a long log that are tested
+_LAGS = 0.25 * 1.5 ** np.arange(16)  # time constants tried, in periods, as far as the delay is long
+_TAIL = 4.0  # lags after which the rest of a lag counts as one delay
+_DENSE = 5  # half periods near a delay that are all nodes
+_FINE = 10  # delays whose mean stands for a lag in its fit
+_CLIPPED = (0.05, 0.1, 0.2, 0.3)  # shares of an input beyond a limit
+_DEAD = (0.1, 0.2, 0.35, 0.5)  # within a dead zone
+_RAMPS = (0.5, 1.0, 2.0, 4.0, 8.0)  # periods in which a limited input makes its largest step
+_SLACK = (0.05, 0.1, 0.2, 0.4)  # backlash in shares of the input's range
+_STEPS = 24  # times at which a load may begin
+_COSINES = 10  # of a random walk
+_NOISE_LAGS = 2  # of coloured noise
+_SURE = 3.0  # standard errors that a departure of full size must make
+_LIKELY = {"actuator lag": 1.25}  # steps of one size do not tell it from a limited rate
+_NEARLY = 0.7  # of the rise of 2 log L of the best alternative: another one explains nearly as much
+_MORE = 0.2  # of it: a load or drift beside it is no remainder of it
+_MOST = 2  # departures that are reported
+_LEVELS = {"unlogged load", "drift"}
+_FAR = 6.0  # deviations at which residuals are cut off: a wrong reading is no departure
+_EXACT = 1e-7  # of a column's deviation: noise below is round-off
+
+
+class Departure(NamedTuple):
+    """Something that the log shows and the model lacks.
+
+    name : "actuator lag", "rate limit", "saturation", "dead zone", "backlash", "delay per mode",
+    "coloured noise", "unlogged load" or "drift"
+    statistic : the rise of 2 log L, by its score test, less the number of coefficients
+    chance : the probability of more in a log that lacks nothing, of this test alone
+    sentence : the departure; advice : what to do
+    others : names of departures that explain nearly as much
+    """
+
+    name: str
+    statistic: float
+    chance: float
+    sentence: str
+    advice: str
+    others: tuple[str, ...] = ()
+
+    @property
+    def doubt(self) -> str:
+        """Why intervals may not contain the delays, as the end of a sentence."""
+        return f"the log departs from the model by {_DOUBT[self.name]}"
+
+
+_DOUBT = {
+    "actuator lag": "a lag of the actuator, which the delay includes",
+    "rate limit": "a limited rate of the input",
+    "saturation": "a saturation of the input",
+    "dead zone": "a dead zone of the input",
+    "backlash": "backlash",
+    "delay per mode": "delays that differ between modes",
+    "coloured noise": "coloured noise",
+    "unlogged load": "a load that was not logged",
+    "drift": "a drift of its level",
+}
+
+
+@runtime_checkable
+class Predicted(Protocol):
+    """A likelihood whose innovations are known."""
+
+    def innovations_at(self, vector: Vector, window: Window) -> Innovations: ...
+
+
+class Alternative(NamedTuple):
+    """A departure, its test, and its sentence and advice where it is found."""
+
+    name: str
+    test: Callable[[Regression], Score | None]
+    say: Callable[[Score], tuple[str, str]]
+
+
+def departures_of(estimate: Estimate) -> tuple[Departure, ...]:
+    """The departures of a log with logged modes from its estimate, the most significant first."""
+    if estimate.missed.any() or _is_exact(estimate):
+        return ()
+    probe = Probe.of(estimate)
+    fit = Regression.of(probe.innovations.stacked(probe.white), probe.slopes)
+    scores = _scores(fit, [*probe.alternatives()])
+    level, found = np.log(CHANCE / max(len(scores), 1)), []
+    while scores:
+        if min(score.log_chance for _, score in scores) >= level:
+            break
+        likely = [one for one in scores if one[1].log_chance < np.log(CHANCE)]
+        best, score = max(likely, key=lambda one: one[1].rise * _LIKELY.get(one[0].name, 1.0))
+        if found and score.rise < _MORE * found[0].statistic:
+            break
+        alike = {
+            other.name: None
+            for other, own in likely
+            if other.name != best.name and own.rise > _NEARLY * score.rise
+        }
+        found.append(_departure(best, score, tuple(alike)))
+        # Until this one is dealt with, others of its kind may be a remainder of it.
+        left = [other for other, _ in scores if (other.name in _LEVELS) != (best.name in _LEVELS)]
+        fit = fit.beside(score.directions)
+        scores = _scores(fit, left if len(found) < _MOST else [])
+    return tuple(found)
+
+
+def _is_exact(estimate: Estimate) -> bool:
+    """Whether the noise of all outputs is round-off, which is no white noise."""
+    recording, n = estimate.log.recording, estimate.disturbance.shape[1]
+    every = np.vstack([part.output for part in recording.parts])
+    if every.shape[1] != n:
+        return False
+    W = np.diagonal(estimate.disturbance, axis1=1, axis2=2).max(axis=0)
+    added = np.sqrt(W * recording.step) + estimate.noise.max(initial=0.0)
+    return bool((added < _EXACT * np.nanstd(every, axis=0)).all())
+
+
+def _scores(fit: Regression, alternatives: list[Alternative]) -> list[tuple[Alternative, Score]]:
+    each = [(one, one.test(fit)) for one in alternatives]
+    return [(one, score) for one, score in each if score is not None]
+
+
+def _departure(found: Alternative, score: Score, others: tuple[str, ...]) -> Departure:
+    sentence, advice = found.say(score)
+    if others:
+        sentence += f" Nearly as well explains it: {', '.join(others)}."
+    chance = float(np.exp(score.log_chance))
+    return Departure(found.name, score.rise, chance, sentence, advice, others)
+
+
+class Probe(NamedTuple):
+    """An estimate's innovations at its maximum, and the alternatives to its model.
+
+    white : (rows, p), the innovations; slopes : (data, size)
+    """
+
+    log: Likelihood
+    vector: Vector
+    window: Window
+    innovations: Innovations
+    white: Float[np.ndarray, "row p"]
+    slopes: Float[np.ndarray, "datum size"]
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Probe:
+        log, vector = estimate.log, estimate.best.theta
+        some = log.recording.stretches(_ROWS, log.recording.lag(estimate.window[1]))
+        log = replace(log, recording=some)
+        innovations = cast(Predicted, log).innovations_at(vector, estimate.window)
+        white = np.clip(innovations.residuals(vector), -_FAR, _FAR)
+        slopes = innovations.slopes(vector)
+        return cls(log, vector, estimate.window, innovations, white, slopes)
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.log.recording.parts
+
+    @property
+    def layout(self) -> Layout:
+        return self.log.layout
+
+    def alternatives(self) -> Iterator[Alternative]:
+        for j in range(self.layout.m):
+            yield from self._of_input(j)
+        if self.layout.modes > 1 and not self.layout.per_mode:
+            yield from map(self._delay_per_mode, range(self.layout.m))
+        yield self._coloured_noise()
+        for a in range(self.layout.n):
+            yield from self._of_level(a)
+
+    def _of_input(self, j: int) -> Iterator[Alternative]:
+        name, h = self.log.recording.inputs[j], self.log.recording.step
+        D = float(self.vector[self.layout.of_delay[:, j]].min())
+        lags = _LAGS[(_LAGS * h <= D) | (_LAGS <= 1.0)] * h
+        smeared = self._lagged(j, lags)
+        yield Alternative(
+            "actuator lag",
+            lambda fit: best_of_path(fit, smeared, True, _SURE),
+            lambda score: self._say_lag(j, float(lags[score.place])),
+        )
+        u = np.concatenate([part.input[:, j] for part in self.parts])
+        u = u[np.isfinite(u)]
+        low, high = np.quantile(u, _CLIPPED), np.quantile(u, 1.0 - np.array(_CLIPPED))
+        nothing = np.full(len(low), np.inf)
+        ends = np.hstack([(low, high), (-nothing, high), (low, nothing)]).T
+        yield self._of_map(
+            "saturation",
+            j,
+            [lambda u, _, own=own: np.clip(u, *own) for own in ends],
+            lambda k: (
+                f"{name} acts less beyond {_range(ends[k] + self._level(j))}: it saturates.",
+                f"Log what the actuator delivers as {name}, or keep {name} within its limits.",
+            ),
+        )
+        centre = -self._level(j)
+        centre = centre if u.min() <= centre <= u.max() else float(np.median(u))
+        half = np.quantile(np.abs(u - centre), _DEAD)
+        yield self._of_map(
+            "dead zone",
+            j,
+            [lambda u, _, w=w: u - np.clip(u - centre, -w, w) for w in half],
+            lambda k: (
+                f"{name} acts less within about {half[k]:.2g} of {centre + self._level(j):.4g}: "
+                "it has a dead zone.",
+                f"Log what the actuator delivers as {name}, or move {name} by more than that.",
+            ),
+        )
+        steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
+        largest = float(np.nanmax(steps, initial=0.0))
+        rates = largest / (h * np.array(_RAMPS))
+        yield self._of_map(
+            "rate limit",
+            j,
+            [lambda u, t, r=r: rate_limited(u, t, r) for r in rates if r > 0.0],
+            lambda k: (
+                f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
+                "limited, and the delay includes part of the ramps.",
+                f"Log what the actuator delivers as {name}, or test with smaller steps.",
+            ),
+        )
+        slack = np.ptp(u) * np.array(_SLACK)
+        yield self._of_map(
+            "backlash",
+            j,
+            [lambda u, _, w=w: with_backlash(u, w) for w in slack],
+            lambda k: (
+                f"{name} acts only after it has moved by about {slack[k]:.2g} the other way: it "
+                "has backlash.",
+                f"Log what the actuator delivers as {name}, or test with steps much larger.",
+            ),
+        )
+
+    def _of_map(
+        self,
+        name: str,
+        j: int,
+        maps: list[Callable[[np.ndarray, np.ndarray], np.ndarray]],
+        say: Callable[[int], tuple[str, str]],
+    ) -> Alternative:
+        """An input j that acts as a function of itself, one of several."""
+        changes = []
+        for part in self.parts:
+            u = part.input[:, j]
+            own = np.zeros((len(maps), *part.input.shape))
+            own[:, :, j] = [np.nan_to_num(f(u, part.time) - u) for f in maps]
+            changes.append(own)
+        d = self.innovations.responses(self.vector, changes)
+        return Alternative(
+            name, lambda fit: best_of_path(fit, d, True, _SURE), lambda score: say(score.place)
+        )
+
+    def _level(self, j: int) -> float:
+        level = self.log.recording.level
+        return 0.0 if level is None else float(level.input[j])
+
+    def _lagged(self, j: int, lags: Float[np.ndarray, " lag"]) -> Float[np.ndarray, "datum lag"]:
+        """The responses to an input with lags and shorter delays, less that with its delay."""
+        inputs = [np.zeros((1, *part.input.shape)) for part in self.parts]
+        for own, part in zip(inputs, self.parts, strict=True):
+            own[0, :, j] = np.nan_to_num(part.input[:, j])
+        h, D = self.log.recording.step, self.vector[self.layout.of_delay[:, j]].mean()
+        grid = delay_grid(D - lags.max(), D + _TAIL * lags.max(), D, h)
+        vectors = [self.with_delay(j, delay - D) for delay in grid]
+        each = [self.innovations.responses(vector, inputs)[:, 0] for vector in vectors]
+        weights = np.column_stack([lag_weights(grid, D - lag, lag) for lag in lags])
+        plain = lag_weights(grid, D, 1e-9 * h)
+        return np.column_stack(each) @ (weights - plain[:, None])
+
+    def with_delay(self, j: int, shift: float) -> Vector:
+        """The unknowns with the delay of an input longer by a shift, but positive."""
+        moved, place = self.vector.copy(), np.unique(self.layout.of_delay[:, j])
+        moved[place] = np.maximum(moved[place] + shift, 1e-6 * self.log.recording.step)
+        return moved
+
+    def _say_lag(self, j: int, lag: float) -> tuple[str, str]:
+        recording, n = self.log.recording, self.layout.n
+        name, place = recording.inputs[j], np.unique(self.layout.of_delay[:, j])
+        lag, error, alone = fit_lag(self, j, lag)
+        D = float(self.vector[place].mean())
+        sentence = (
+            f"{name} acts through a lag of about {lag:.2g} s, of an actuator or a filter, that the "
+            f"model lacks. The delay of {D:.4g} s includes it (effective delay): the delay alone "
+            f"would be about {alone:.4g} s."
+        )
+        if error > 0.5 * lag:
+            sentence += " The log tells their sum, but hardly each alone."
+        first = recording.outputs[0]
+        return sentence, (
+            "Log what the actuator delivers as one more state, or identify from outputs alone with "
+            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {first} --order "
+            f"{n + 1}); a law for the effective delay must tolerate the lag."
+        )
+
+    def _delay_per_mode(self, j: int) -> Alternative:
+        layout = self.layout
+        own = replace(layout, per_mode=True)
+        A, B, delays = layout.split(self.vector[: layout.size])
+        noise = self.vector[layout.size :]
+        vector = np.concatenate((own.join(A, B, delays), noise))
+        log = replace(self.log, layout=own)
+        d = cast(Predicted, log).innovations_at(vector, self.window).slopes(vector)
+
+        def say(_: Score) -> tuple[str, str]:
+            best, _ = maximise(log, vector, gain=1e-4)
+            each = zip(best.theta[own.of_delay[:, j]], self.log.recording.modes, strict=True)
+            values = ", ".join(f"{D:.4g} s in mode {mode}" for D, mode in each)
+            name = self.log.recording.inputs[j]
+            return (
+                f"Delays of {name} differ between modes: about {values}.",
+                "Repeat with per_mode=True, --per-mode.",
+            )
+
+        return Alternative(
+            "delay per mode", lambda fit: together(fit, d[:, own.of_delay[:, j]]), say
+        )
+
+    def _coloured_noise(self) -> Alternative:
+        """Residuals that depend on those of the last rows, each output on its own."""
+        rows, p = self.white.shape
+        d, first = np.zeros((rows, p, p * _NOISE_LAGS)), 0
+        for part in self.parts:
+            own = self.white[first : first + part.time.size]
+            for lag in range(1, min(_NOISE_LAGS + 1, len(own))):
+                for a in range(p):
+                    place = p * (lag - 1) + a
+                    d[first + lag : first + len(own), a, place] = own[:-lag, a]
+            first += part.time.size
+        flat = d.reshape(rows * p, -1)
+        padded = np.vstack((flat, np.zeros((len(self.slopes) - len(flat), flat.shape[1]))))
+
+        def say(score: Score) -> tuple[str, str]:
+            r = [
+                float((flat[:, a] @ self.white.ravel()) / max(flat[:, a] @ flat[:, a], 1e-300))
+                for a in range(p)
+            ]
+            worst = int(np.argmax(np.abs(r)))
+            name = self.log.recording.outputs[worst] if p > 1 else "What is left"
+            name = f"What is left of {name}" if p > 1 else name
+            return (
+                f"{name} depends on itself one row before ({r[worst]:+.2f}) and on no input: noise "
+                "is coloured, or a state is missing. Intervals are too narrow then.",
+                "Say noise=True, --noise, if sensors were taken as exact; log what disturbs the "
+                "plant as an input, or raise the order by the disturbance's states.",
+            )
+
+        return Alternative("coloured noise", lambda fit: together(fit, padded), say)
+
+    def _of_level(self, a: int) -> Iterator[Alternative]:
+        time = np.concatenate([part.time for part in self.parts])
+        begins = np.quantile(time, (np.arange(_STEPS) + 0.5) / _STEPS)
+        steps = self._to_signals(a, [lambda t, T=T: (t >= T) * 1.0 for T in begins])
+        start, whole = float(time.min()), max(float(np.ptp(time)), 1e-300)
+        order = np.arange(1, _COSINES + 1)
+        waves = self._to_signals(
+            a, [lambda t, k=k: np.cos(np.pi * k * (t - start) / whole) for k in order]
+        )
+        named = self.log.recording.outputs
+        state = named[a] if len(named) == self.layout.n else f"state {a + 1}"
+        yield Alternative(
+            "unlogged load",
+            lambda fit: best_of_path(fit, steps),
+            lambda score: (
+                f"From about t = {begins[score.place]:.4g} s on something that is not logged acts "
+                f"on {state}.",
+                "Log it as an input, or identify from the rows before that time or after it alone.",
+            ),
+        )
+        yield Alternative(
+            "drift",
+            lambda fit: random_walk(fit, waves),
+            lambda _: (
+                f"The level of {state} drifts, as by a slow load that is not logged.",
+                "Log what drives it as an input, identify from a stretch in which it is steady, or "
+                "of one mode subtract moving means of the same length from all columns.",
+            ),
+        )
+
+    def _to_signals(
+        self, a: int, signals: list[Callable[[np.ndarray], np.ndarray]]
+    ) -> Float[np.ndarray, "datum many"]:
+        """The responses to signals added to dx_a/dt, each constant from row to row."""
+        layout = self.layout
+        A, B, delays = (one.copy() for one in layout.split(self.vector[: layout.size]))
+        B[:], delays[:] = 0.0, 1e-6 * self.log.recording.step
+        B[:, a, 0] = 1.0
+        vector = np.concatenate((layout.join(A, B, delays), self.vector[layout.size :]))
+        given = [np.array([f(part.time) for f in signals]) for part in self.parts]
+        return self.innovations.to_signals(vector, given)
+
+
+def delay_grid(low: float, high: float, D: float, step: float) -> Float[np.ndarray, " node"]:
+    """Delays between which responses are nearly linear: half periods, sparser far from D."""
+    unit = 0.5 * step
+    first, last, near = (int(np.floor(one / unit)) for one in (low, high, D))
+    away = np.unique(np.round(np.concatenate((np.arange(_DENSE), _DENSE * 1.6 ** np.arange(40)))))
+    places = np.unique(near + np.concatenate((-away, away + 1)))
+    places = places[(places >= first) & (places <= last + 1)]
+    return unit * np.union1d(places, (first, last + 1))
+
+
+def lag_weights(
+    grid: Float[np.ndarray, " node"], first: float, lag: float
+) -> Float[np.ndarray, " node"]:
+    """∫ h_i(s) e^{−(s − first)/lag} ds/lag from `first` on, h_i the hat function of node i.
+
+    Second differences of the second integral of the density; beyond the last node its value holds.
+
+    Examples
+    --------
+    >>> weights = lag_weights(np.arange(0.0, 9.0, 0.5), 0.25, 1.0)
+    >>> weights.sum().round(9), (weights @ np.arange(0.0, 9.0, 0.5)).round(3)
+    (np.float64(1.0), np.float64(1.25))
+    """
+    s = np.maximum(grid - first, 0.0)
+    slopes = np.diff(s + lag * np.expm1(-s / lag)) / np.diff(grid)
+    return np.diff(slopes, prepend=0.0, append=1.0)
+
+
+def lag_nodes(count: int) -> Float[np.ndarray, " node"]:
+    """Equally likely values of a time with density e^{−x}, of mean 1.
+
+    Examples
+    --------
+    >>> lag_nodes(3).round(3), lag_nodes(3).mean().round(12)
+    (array([0.182, 0.693, 2.125]), np.float64(1.0))
+    """
+    x = -np.log1p(-(np.arange(count) + 0.5) / count)
+    x[-1] += count - x.sum()  # the mean of the last share, which is unbounded
+    return x
+
+
+def fit_lag(probe: Probe, j: int, lag: float) -> tuple[float, float, float]:
+    """The lag of an input by Gauss and Newton's method, its standard error, and the delay alone.
+
+    The prediction with a lag is the mean of predictions with delays D + τ x, x of density e^{−x}.
+    """
+    place, x = np.unique(probe.layout.of_delay[:, j]), lag_nodes(_FINE)
+    log, least = probe.innovations, 1e-6 * probe.log.recording.step
+    theta = np.append(probe.vector, lag)
+    theta[place] = np.maximum(theta[place] - lag, least)
+
+    def at(theta: np.ndarray) -> list[np.ndarray]:
+        each = [theta[:-1].copy() for _ in x]
+        for own, node in zip(each, x, strict=True):
+            own[place] += theta[-1] * node
+        return each
+
+    def left(theta: np.ndarray) -> np.ndarray:
+        return log.stacked(np.mean([log.residuals(own) for own in at(theta)], axis=0))
+
+    r = left(theta)
+    covariance = np.eye(1)
+    for _ in range(_CLIMB):
+        slopes = [log.slopes(own) for own in at(theta)]
+        D = np.column_stack((
+            np.mean(slopes, axis=0),
+            np.mean([s[:, place].sum(axis=1) * node for s, node in zip(slopes, x, strict=True)], 0),
+        ))  # fmt: skip
+        unit = np.linalg.norm(D, axis=0)
+        moving = np.flatnonzero(unit > 0.0)
+        scaled = D[:, moving] / unit[moving]
+        covariance = np.linalg.pinv(scaled.T @ scaled, 1e-12, hermitian=True)
+        step = np.zeros(theta.size)
+        step[moving] = (covariance @ (scaled.T @ r)) / unit[moving]
+        for share in (1.0, 0.5, 0.25, 0.1):
+            trial = theta + share * step
+            trial[-1] = max(trial[-1], 0.1 * theta[-1])
+            trial[place] = np.maximum(trial[place], least)
+            after = left(trial)
+            if after @ after < r @ r:
+                break
+        else:
+            break
+        done = r @ r - after @ after < 1e-3
+        theta, r = trial, after
+        if done:
+            break
+    error = float(np.sqrt(covariance[-1, -1]) / unit[-1])
+    return float(theta[-1]), error, float(theta[place].mean())
+
+
+_CLIMB = 8  # steps
+
+
+def rate_limited(
+    u: Float[np.ndarray, " row"], t: Float[np.ndarray, " row"], rate: float
+) -> Float[np.ndarray, " row"]:
+    """The mean over each row of an output that moves to the input no faster than a rate.
+
+    Examples
+    --------
+    >>> rate_limited(np.array([0.0, 3.0, 3.0, 3.0]), np.arange(4.0), 2.0)
+    array([0.  , 1.  , 2.75, 3.  ])
+    """
+    result, now = np.empty(u.size), float(u[0])
+    for k, (target, length) in enumerate(zip(u, np.append(np.diff(t), t[-1] - t[-2]), strict=True)):
+        if not np.isfinite(target):
+            result[k] = target
+            continue
+        now = now if np.isfinite(now) else float(target)
+        gap, reach = float(target) - now, rate * float(length)
+        if abs(gap) <= reach:
+            result[k] = target - 0.5 * gap * abs(gap) / reach
+            now = float(target)
+        else:
+            result[k] = now + 0.5 * np.sign(gap) * reach
+            now += np.sign(gap) * reach
+    return result
+
+
+def with_backlash(u: Float[np.ndarray, " row"], width: float) -> Float[np.ndarray, " row"]:
+    """The output of play of a width, centred at first.
+
+    Examples
+    --------
+    >>> with_backlash(np.array([0.0, 2.0, 1.5, 0.0]), 1.0)
+    array([0. , 1.5, 1.5, 0.5])
+    """
+    result, now = np.empty(u.size), float(u[0])
+    for k, value in enumerate(u):
+        if np.isfinite(value):
+            now = float(value) if not np.isfinite(now) else now
+            now = min(max(now, value - 0.5 * width), value + 0.5 * width)
+        result[k] = now
+    return result
+
+
+def _range(ends: np.ndarray) -> str:
+    low, high = ends
+    if np.isfinite(ends).all():
+        return f"about {low:.3g} … {high:.3g}"
+    return f"about {high:.3g} upwards" if np.isfinite(high) else f"about {low:.3g} downwards"
