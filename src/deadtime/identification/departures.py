@@ -44,18 +44,29 @@ _ROWS = 4_000  # of a long log that are tested
 _LAGS = 0.25 * 1.5 ** np.arange(16)  # time constants tried, in periods, as far as the delay is long
 _TAIL = 4.0  # lags after which the rest of a lag counts as one delay
 _DENSE = 5  # half periods near a delay that are all nodes
-_FINE = 10  # delays whose mean stands for a lag in its fit
+_CLIMB = 10  # steps of the fit of a lag
+_SETTLED = 1e-3  # fall of the sum of squares that ends it
+_LIGHT = 1e-3  # weight of a delay whose slopes are left out
 _CLIPPED = (0.05, 0.1, 0.2, 0.3)  # shares of an input beyond a limit
 _DEAD = (0.1, 0.2, 0.35, 0.5)  # within a dead zone
-_RAMPS = (0.5, 1.0, 2.0, 4.0, 8.0)  # periods in which a limited input makes its largest step
+_RAMPS = 0.5 * 2.0 ** np.arange(
+    0.0, 5.0, 0.5
+)  # periods in which a limited input makes its largest step
 _SLACK = (0.05, 0.1, 0.2, 0.4)  # backlash in shares of the input's range
 _STEPS = 24  # times at which a load may begin
 _COSINES = 10  # of a random walk
+# Of 2 log L, of slow signals where the plant's noise is estimated beside that of sensors: often it
+# is underestimated, and then slow residuals are larger than it predicts.
+_SLOW = 2.0
 _NOISE_LAGS = 2  # of coloured noise
 _SURE = 3.0  # standard errors that a departure of full size must make
-_LIKELY = {"actuator lag": 1.25}  # steps of one size do not tell it from a limited rate
+# Factors of the rise of 2 log L: steps of one size do not tell a lag from a limited rate, and any
+# departure colours the noise.
+_LIKELY = {"actuator lag": 1.25, "coloured noise": 0.5}
 _NEARLY = 0.7  # of the rise of 2 log L of the best alternative: another one explains nearly as much
 _MORE = 0.2  # of it: a load or drift beside it is no remainder of it
+_ONE_SIDED = 1.645  # standard errors
+_PART = 0.25  # of a delay: a lag that may be longer is reported
 _MOST = 2  # departures that are reported
 _LEVELS = {"unlogged load", "drift"}
 _FAR = 6.0  # deviations at which residuals are cut off: a wrong reading is no departure
@@ -106,6 +117,13 @@ class Predicted(Protocol):
     def innovations_at(self, vector: Vector, window: Window) -> Innovations: ...
 
 
+class Departures(NamedTuple):
+    """The departures of a log, the most significant first, and sentences on what it leaves open."""
+
+    found: tuple[Departure, ...] = ()
+    open: tuple[str, ...] = ()
+
+
 class Alternative(NamedTuple):
     """A departure, its test, and its sentence and advice where it is found."""
 
@@ -114,12 +132,17 @@ class Alternative(NamedTuple):
     say: Callable[[Score], tuple[str, str]]
 
 
-def departures_of(estimate: Estimate) -> tuple[Departure, ...]:
-    """The departures of a log with logged modes from its estimate, the most significant first."""
+def departures_of(estimate: Estimate) -> Departures:
+    """The departures of a log with logged modes, from its estimate."""
     if estimate.missed.any() or _is_exact(estimate):
-        return ()
+        return Departures()
     probe = Probe.of(estimate)
     fit = Regression.of(probe.innovations.stacked(probe.white), probe.slopes)
+    found = _found(fit, probe)
+    return Departures(found, () if found else tuple(probe.lags_left_open(fit, estimate)))
+
+
+def _found(fit: Regression, probe: Probe) -> tuple[Departure, ...]:
     scores = _scores(fit, [*probe.alternatives()])
     level, found = np.log(CHANCE / max(len(scores), 1)), []
     while scores:
@@ -132,7 +155,7 @@ def departures_of(estimate: Estimate) -> tuple[Departure, ...]:
         alike = {
             other.name: None
             for other, own in likely
-            if other.name != best.name and own.rise > _NEARLY * score.rise
+            if other.name not in {best.name, "coloured noise"} and own.rise > _NEARLY * score.rise
         }
         found.append(_departure(best, score, tuple(alike)))
         # Until this one is dealt with, others of its kind may be a remainder of it.
@@ -201,16 +224,15 @@ class Probe(NamedTuple):
         for j in range(self.layout.m):
             yield from self._of_input(j)
         if self.layout.modes > 1 and not self.layout.per_mode:
-            yield from map(self._delay_per_mode, range(self.layout.m))
+            yield from self._delays_per_mode()
         yield self._coloured_noise()
         for a in range(self.layout.n):
             yield from self._of_level(a)
 
     def _of_input(self, j: int) -> Iterator[Alternative]:
         name, h = self.log.recording.inputs[j], self.log.recording.step
-        D = float(self.vector[self.layout.of_delay[:, j]].min())
-        lags = _LAGS[(_LAGS * h <= D) | (_LAGS <= 1.0)] * h
-        smeared = self._lagged(j, lags)
+        lags = self._lags(j)
+        smeared = self.lagged(j, lags)
         yield Alternative(
             "actuator lag",
             lambda fit: best_of_path(fit, smeared, True, _SURE),
@@ -245,7 +267,7 @@ class Probe(NamedTuple):
         )
         steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
         largest = float(np.nanmax(steps, initial=0.0))
-        rates = largest / (h * np.array(_RAMPS))
+        rates = largest / (h * _RAMPS)
         yield self._of_map(
             "rate limit",
             j,
@@ -287,11 +309,37 @@ class Probe(NamedTuple):
             name, lambda fit: best_of_path(fit, d, True, _SURE), lambda score: say(score.place)
         )
 
+    def _lags(self, j: int) -> Float[np.ndarray, " lag"]:
+        """The time constants tried: up to the delay, and of the order of a period."""
+        h, D = self.log.recording.step, float(self.vector[self.layout.of_delay[:, j]].min())
+        return _LAGS[(_LAGS * h <= D) | (_LAGS <= 1.0)] * h
+
+    def lags_left_open(self, fit: Regression, estimate: Estimate) -> Iterator[str]:
+        """Sentences on lags that may take a large part of a delay, as far as the log shows.
+
+        A lag is excluded if its coefficient is less than 1 by a one-sided test at 5 %.
+        """
+        h = self.log.recording.step
+        wide = np.ptp(self.layout.spread(estimate.intervals), axis=2).max(axis=0)
+        for j, name in enumerate(self.log.recording.inputs):
+            lags = self._lags(j)
+            own = fit.across(self.lagged(j, lags))
+            length = np.linalg.norm(own, axis=0)
+            excluded = own.T @ fit.residuals < length**2 - _ONE_SIDED * length
+            most = float(lags[: int(np.append(excluded, True).argmax())].max(initial=0.0))
+            D = float(self.vector[self.layout.of_delay[:, j]].min())
+            if most > max(h, _PART * D, float(wide[j])):
+                yield (
+                    f"{name} may act through a lag of up to {most:.2g} s, of an actuator or a "
+                    "filter, with a delay that much shorter: the log tells their sum, and not each "
+                    "alone. Steps of it between denser rows would."
+                )
+
     def _level(self, j: int) -> float:
         level = self.log.recording.level
         return 0.0 if level is None else float(level.input[j])
 
-    def _lagged(self, j: int, lags: Float[np.ndarray, " lag"]) -> Float[np.ndarray, "datum lag"]:
+    def lagged(self, j: int, lags: Float[np.ndarray, " lag"]) -> Float[np.ndarray, "datum lag"]:
         """The responses to an input with lags and shorter delays, less that with its delay."""
         inputs = [np.zeros((1, *part.input.shape)) for part in self.parts]
         for own, part in zip(inputs, self.parts, strict=True):
@@ -329,28 +377,27 @@ class Probe(NamedTuple):
             f"{n + 1}); a law for the effective delay must tolerate the lag."
         )
 
-    def _delay_per_mode(self, j: int) -> Alternative:
-        layout = self.layout
-        own = replace(layout, per_mode=True)
+    def _delays_per_mode(self) -> Iterator[Alternative]:
+        layout, own = self.layout, replace(self.layout, per_mode=True)
         A, B, delays = layout.split(self.vector[: layout.size])
-        noise = self.vector[layout.size :]
-        vector = np.concatenate((own.join(A, B, delays), noise))
+        vector = np.concatenate((own.join(A, B, delays), self.vector[layout.size :]))
         log = replace(self.log, layout=own)
-        d = cast(Predicted, log).innovations_at(vector, self.window).slopes(vector)
+        slopes = cast(Predicted, log).innovations_at(vector, self.window).slopes(vector)
 
-        def say(_: Score) -> tuple[str, str]:
+        def say(j: int) -> tuple[str, str]:
             best, _ = maximise(log, vector, gain=1e-4)
             each = zip(best.theta[own.of_delay[:, j]], self.log.recording.modes, strict=True)
             values = ", ".join(f"{D:.4g} s in mode {mode}" for D, mode in each)
-            name = self.log.recording.inputs[j]
             return (
-                f"Delays of {name} differ between modes: about {values}.",
+                f"Delays of {self.log.recording.inputs[j]} differ between modes: about {values}.",
                 "Repeat with per_mode=True, --per-mode.",
             )
 
-        return Alternative(
-            "delay per mode", lambda fit: together(fit, d[:, own.of_delay[:, j]]), say
-        )
+        for j in range(layout.m):
+            d = slopes[:, own.of_delay[:, j]]
+            yield Alternative(
+                "delay per mode", lambda fit, d=d: together(fit, d), lambda _, j=j: say(j)
+            )
 
     def _coloured_noise(self) -> Alternative:
         """Residuals that depend on those of the last rows, each output on its own."""
@@ -384,28 +431,26 @@ class Probe(NamedTuple):
         return Alternative("coloured noise", lambda fit: together(fit, padded), say)
 
     def _of_level(self, a: int) -> Iterator[Alternative]:
-        time = np.concatenate([part.time for part in self.parts])
-        begins = np.quantile(time, (np.arange(_STEPS) + 0.5) / _STEPS)
-        steps = self._to_signals(a, [lambda t, T=T: (t >= T) * 1.0 for T in begins])
-        start, whole = float(time.min()), max(float(np.ptp(time)), 1e-300)
-        order = np.arange(1, _COSINES + 1)
-        waves = self._to_signals(
-            a, [lambda t, k=k: np.cos(np.pi * k * (t - start) / whole) for k in order]
-        )
-        named = self.log.recording.outputs
+        # Signals are functions of the row, as several logs may have the same times.
+        rows = self.log.recording.samples
+        begins = ((np.arange(_STEPS) + 0.5) * rows / _STEPS).astype(int)
+        steps = self._to_signals(a, (np.arange(rows) >= begins[:, None]) * 1.0)
+        wave = np.pi * np.arange(1, _COSINES + 1)[:, None] * (np.arange(rows) + 0.5) / rows
+        waves = self._to_signals(a, np.cos(wave))
+        time, named = np.concatenate([p.time for p in self.parts]), self.log.recording.outputs
         state = named[a] if len(named) == self.layout.n else f"state {a + 1}"
         yield Alternative(
             "unlogged load",
-            lambda fit: best_of_path(fit, steps),
+            lambda fit: best_of_path(self._slow(fit), steps),
             lambda score: (
-                f"From about t = {begins[score.place]:.4g} s on something that is not logged acts "
-                f"on {state}.",
+                f"From about t = {time[begins[score.place]]:.4g} s on something that is not logged "
+                f"acts on {state}.",
                 "Log it as an input, or identify from the rows before that time or after it alone.",
             ),
         )
         yield Alternative(
             "drift",
-            lambda fit: random_walk(fit, waves),
+            lambda fit: random_walk(self._slow(fit), waves),
             lambda _: (
                 f"The level of {state} drifts, as by a slow load that is not logged.",
                 "Log what drives it as an input, identify from a stretch in which it is steady, or "
@@ -413,8 +458,12 @@ class Probe(NamedTuple):
             ),
         )
 
+    def _slow(self, fit: Regression) -> Regression:
+        noisy = len(self.slopes) > self.white.size
+        return fit._replace(residuals=fit.residuals / np.sqrt(_SLOW)) if noisy else fit
+
     def _to_signals(
-        self, a: int, signals: list[Callable[[np.ndarray], np.ndarray]]
+        self, a: int, signals: Float[np.ndarray, "many row"]
     ) -> Float[np.ndarray, "datum many"]:
         """The responses to signals added to dx_a/dt, each constant from row to row."""
         layout = self.layout
@@ -422,8 +471,8 @@ class Probe(NamedTuple):
         B[:], delays[:] = 0.0, 1e-6 * self.log.recording.step
         B[:, a, 0] = 1.0
         vector = np.concatenate((layout.join(A, B, delays), self.vector[layout.size :]))
-        given = [np.array([f(part.time) for f in signals]) for part in self.parts]
-        return self.innovations.to_signals(vector, given)
+        ends = np.cumsum([part.time.size for part in self.parts])[:-1]
+        return self.innovations.to_signals(vector, np.split(signals, ends, axis=1))
 
 
 def delay_grid(low: float, high: float, D: float, step: float) -> Float[np.ndarray, " node"]:
@@ -454,70 +503,63 @@ def lag_weights(
     return np.diff(slopes, prepend=0.0, append=1.0)
 
 
-def lag_nodes(count: int) -> Float[np.ndarray, " node"]:
-    """Equally likely values of a time with density e^{−x}, of mean 1.
+class LagFit(NamedTuple):
+    """The fit of an input's lag: its time constant and standard error, and the delay alone."""
 
-    Examples
-    --------
-    >>> lag_nodes(3).round(3), lag_nodes(3).mean().round(12)
-    (array([0.182, 0.693, 2.125]), np.float64(1.0))
+    lag: float
+    error: float
+    delay: float
+
+
+def fit_lag(probe: Probe, j: int, lag: float) -> LagFit:
+    """The lag of an input by Gauss and Newton's method, with A and B and the noise as it is.
+
+    The residuals with a lag are means of residuals over delays, with the weights of the lag.
     """
-    x = -np.log1p(-(np.arange(count) + 0.5) / count)
-    x[-1] += count - x.sum()  # the mean of the last share, which is unbounded
-    return x
+    place, h = np.unique(probe.layout.of_delay[:, j]), probe.log.recording.step
+    D, own = float(probe.vector[place].mean()), probe.innovations
+    grid = delay_grid(D - 4.0 * lag, D + 2.0 * _TAIL * lag, D, h)
+    least = np.array([max(grid[0], 0.0), 0.02 * h])
 
+    def at(theta: Vector) -> list[Vector]:
+        return [probe._replace(vector=theta[:-2]).with_delay(j, node - D) for node in grid]
 
-def fit_lag(probe: Probe, j: int, lag: float) -> tuple[float, float, float]:
-    """The lag of an input by Gauss and Newton's method, its standard error, and the delay alone.
+    def left(theta: Vector) -> tuple[np.ndarray, np.ndarray]:
+        each = np.array([own.residuals(vector) for vector in at(theta)])
+        return each, np.tensordot(lag_weights(grid, *theta[-2:]), each, 1).ravel()
 
-    The prediction with a lag is the mean of predictions with delays D + τ x, x of density e^{−x}.
-    """
-    place, x = np.unique(probe.layout.of_delay[:, j]), lag_nodes(_FINE)
-    log, least = probe.innovations, 1e-6 * probe.log.recording.step
-    theta = np.append(probe.vector, lag)
-    theta[place] = np.maximum(theta[place] - lag, least)
-
-    def at(theta: np.ndarray) -> list[np.ndarray]:
-        each = [theta[:-1].copy() for _ in x]
-        for own, node in zip(each, x, strict=True):
-            own[place] += theta[-1] * node
-        return each
-
-    def left(theta: np.ndarray) -> np.ndarray:
-        return log.stacked(np.mean([log.residuals(own) for own in at(theta)], axis=0))
-
-    r = left(theta)
-    covariance = np.eye(1)
+    theta = np.concatenate((probe.vector, np.maximum((D - lag, lag), least)))
+    (each, r), error = left(theta), np.inf
     for _ in range(_CLIMB):
-        slopes = [log.slopes(own) for own in at(theta)]
-        D = np.column_stack((
-            np.mean(slopes, axis=0),
-            np.mean([s[:, place].sum(axis=1) * node for s, node in zip(slopes, x, strict=True)], 0),
-        ))  # fmt: skip
-        unit = np.linalg.norm(D, axis=0)
-        moving = np.flatnonzero(unit > 0.0)
-        scaled = D[:, moving] / unit[moving]
-        covariance = np.linalg.pinv(scaled.T @ scaled, 1e-12, hermitian=True)
-        step = np.zeros(theta.size)
-        step[moving] = (covariance @ (scaled.T @ r)) / unit[moving]
+        weights = lag_weights(grid, *theta[-2:])
+        slopes = np.zeros((r.size, theta.size))
+        for weight, vector in zip(weights, at(theta), strict=True):
+            if weight > _LIGHT:
+                slopes[:, :-2] += weight * own.slopes(vector)[: r.size]
+        slopes[:, place] = 0.0
+        slopes[:, probe.layout.size : -2] = 0.0
+        for column, moved in enumerate(1e-4 * h * np.eye(2)):
+            ahead, behind = theta[-2:] + moved, theta[-2:] - moved
+            by = (lag_weights(grid, *ahead) - lag_weights(grid, *behind)) / (2e-4 * h)
+            slopes[:, column - 2] = -np.tensordot(by, each, 1).ravel()
+        unit = np.linalg.norm(slopes, axis=0)
+        unit[unit == 0.0] = 1.0
+        covariance = np.linalg.pinv((slopes / unit).T @ (slopes / unit), 1e-12, hermitian=True)
+        error = float(np.sqrt(covariance[-1, -1]) / unit[-1])
+        step = np.where(slopes.any(axis=0), covariance @ (slopes.T @ r / unit) / unit, 0.0)
         for share in (1.0, 0.5, 0.25, 0.1):
             trial = theta + share * step
-            trial[-1] = max(trial[-1], 0.1 * theta[-1])
-            trial[place] = np.maximum(trial[place], least)
-            after = left(trial)
-            if after @ after < r @ r:
+            trial[-2:] = np.maximum(trial[-2:], least)
+            after, after_r = left(trial)
+            if after_r @ after_r < r @ r:
                 break
         else:
             break
-        done = r @ r - after @ after < 1e-3
-        theta, r = trial, after
-        if done:
+        fall = r @ r - after_r @ after_r
+        theta, each, r = trial, after, after_r
+        if fall < _SETTLED:
             break
-    error = float(np.sqrt(covariance[-1, -1]) / unit[-1])
-    return float(theta[-1]), error, float(theta[place].mean())
-
-
-_CLIMB = 8  # steps
+    return LagFit(float(theta[-1]), error, float(theta[-2]))
 
 
 def rate_limited(
@@ -531,7 +573,8 @@ def rate_limited(
     array([0.  , 1.  , 2.75, 3.  ])
     """
     result, now = np.empty(u.size), float(u[0])
-    for k, (target, length) in enumerate(zip(u, np.append(np.diff(t), t[-1] - t[-2]), strict=True)):
+    lengths = np.diff(t, append=np.inf)  # the last row's output is held
+    for k, (target, length) in enumerate(zip(u, lengths, strict=True)):
         if not np.isfinite(target):
             result[k] = target
             continue

@@ -10,7 +10,7 @@ import numpy as np
 
 from deadtime.base.checks import positive
 from deadtime.base.files import replacing
-from deadtime.identification.departures import departures_of
+from deadtime.identification.departures import Departures, departures_of
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
@@ -74,7 +74,7 @@ class Identification(Findings):
         estimate.require_inside()
         rest = rest_of(estimate, np.linalg.pinv(C))
         untimed = log.modes is not None or bool(repeats(recording))
-        departures = () if untimed else departures_of(estimate)
+        departures = Departures() if untimed else departures_of(estimate)
         given = estimate, recording, C, log.why, rest, states, departures
         sentences, doubts = sentences_of(*given)
         fit = cls(
@@ -93,7 +93,7 @@ class Identification(Findings):
             sentences=sentences,
             hidden=log.modes,
             doubts=(*doubts, *log.doubts),
-            departures=departures,
+            departures=departures.found,
             _estimate=estimate,
             _recording=recording,
             _C=C,

@@ -152,7 +152,7 @@ def log_tail(q: float, weights: Float[np.ndarray, " some"]) -> float:
     --------
     >>> cosines = np.pi * np.arange(1, 100)    # Cramér and von Mises's test: 1.168 at 1/1000
     >>> round(float(np.exp(log_tail(1.168, cosines**-2.0))), 5)
-    0.00101
+    0.00106
     """
     from scipy.optimize import brentq
     from scipy.stats import norm

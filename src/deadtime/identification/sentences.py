@@ -22,7 +22,7 @@ from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
-    from deadtime.identification.departures import Departure
+    from deadtime.identification.departures import Departure, Departures
     from deadtime.identification.identified_plant import Findings
     from deadtime.margins import DelayMargin
 
@@ -44,7 +44,7 @@ def sentences_of(
     why: str,
     rest: Rest | None,
     states: tuple[str, ...],
-    departures: tuple[Departure, ...] = (),
+    departures: Departures,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Sentences on delays, operating point, noise, residuals and assumptions; and doubts.
 
@@ -53,10 +53,9 @@ def sentences_of(
     repeated, outliers = repeats(recording), _outliers(estimate, recording, C)
     sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
     sentences += _levels(estimate, recording, rest, states)
-    sentences += [
-        *_noise(estimate),
-        *_tests(estimate, recording, [*repeated, *outliers], departures),
-    ]
+    sentences += _noise(estimate)
+    sentences += _tests(estimate, recording, [*repeated, *outliers], departures.found)
+    sentences += departures.open
     sentences += _period(estimate, recording)
     for name in recording.absent:
         sentences.append(
@@ -67,10 +66,10 @@ def sentences_of(
     if recording.logged and not estimate.log.within:
         sentences.append("The mode is taken to change at samples only.")
     sentences += [why] if why else []
-    doubts = _doubts(estimate, recording)
+    doubts = [departure.doubt for departure in departures.found]
+    doubts += _doubts(estimate, recording)
     if outliers:
         doubts.append("a measurement lies farther off than chance makes it")
-    doubts += [departure.doubt for departure in departures]
     if repeated:
         doubts.append("measurements are repeated, so that their times are not known")
     return tuple(sentences), tuple(doubts)
