@@ -248,7 +248,6 @@ BROKEN = {
     "dead zone": {"actuator": lambda v, u: u - np.clip(u, -0.3, 0.3)},
     "backlash": {"actuator": with_slack(0.4)},
     "unlogged load": {"load": lambda t: 0.4 * (t > 13.0)},
-    "coloured noise": {"colour": 0.5},
     "delay per mode": {"delays": (0.31, 0.33)},
 }
 
@@ -260,6 +259,16 @@ def test_what_a_log_departs_by_is_named(name):
     assert fit.departures[0].sentence in fit.message
     assert fit.departures[0].advice in fit.message
     assert any(fit.departures[0].doubt == one for one in fit.doubts)
+
+
+def test_coloured_noise_is_named_and_said_once_by_the_test_of_whiteness():
+    fit = identified(log_of(5, colour=0.5), noise=False)
+    assert [one.name for one in fit.departures] == ["coloured noise"]
+    assert fit.departures[0].sentence not in fit.message
+    assert "What is left is not white" in fit.message
+    assert fit.doubts == (
+        "what is left of the log is not white, and intervals are too narrow then",
+    )
 
 
 @pytest.mark.parametrize("name", ["backlash", "delay per mode", "unlogged load"])
@@ -302,6 +311,24 @@ def test_steps_between_two_values_do_not_tell_saturation_or_a_dead_zone():
     tested = {one.name for one in probe.alternatives() if one.test(fit) is not None}
     assert not tested & {"saturation", "dead zone"}
     assert {"actuator lag", "rate limit", "coloured noise", "drift"} <= tested
+
+
+def one_step(seed):
+    """dx/dt = (u(t − 12.3) − x)/20 with rows every second, and one step after 40 s."""
+    rng, u, x, keep = np.random.default_rng(seed), np.zeros(300), np.zeros(300), np.exp(-0.05)
+    u[40:] = 1.0
+    soon = 1.0 - np.exp(-0.035)  # u_{k−12} acts for 0.7 s
+    for k in range(13, 299):
+        x[k + 1] = keep * x[k] + (1.0 - keep - soon) * u[k - 13] + soon * u[k - 12]
+        x[k + 1] += 0.02 * rng.standard_normal()
+    return pd.DataFrame({"t": np.arange(300.0), "x": x, "u": u})
+
+
+def test_a_step_in_noise_tells_only_the_sum_of_a_lag_and_a_delay():
+    fit = dt.identify(one_step(11), None, (0.0, 30.0), noise=False, states=["x"], inputs=["u"])
+    assert fit.departures == ()
+    (text,) = [one for one in fit.sentences if "may act through a lag of up to" in one]
+    assert "the log tells their sum, and not each alone" in text
 
 
 def test_measurements_without_noise_are_not_tested():

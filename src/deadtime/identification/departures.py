@@ -521,10 +521,10 @@ def fit_lag(probe: Probe, j: int, lag: float) -> LagFit:
     grid = delay_grid(D - 4.0 * lag, D + 2.0 * _TAIL * lag, D, h)
     least = np.array([max(grid[0], 0.0), 0.02 * h])
 
-    def at(theta: Vector) -> list[Vector]:
+    def at(theta: np.ndarray) -> list[np.ndarray]:
         return [probe._replace(vector=theta[:-2]).with_delay(j, node - D) for node in grid]
 
-    def left(theta: Vector) -> tuple[np.ndarray, np.ndarray]:
+    def left(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         each = np.array([own.residuals(vector) for vector in at(theta)])
         return each, np.tensordot(lag_weights(grid, *theta[-2:]), each, 1).ravel()
 

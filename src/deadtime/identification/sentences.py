@@ -54,7 +54,10 @@ def sentences_of(
     sentences = [*_delays(estimate, recording), *_first_order(estimate, recording)]
     sentences += _levels(estimate, recording, rest, states)
     sentences += _noise(estimate)
-    sentences += _tests(estimate, recording, [*repeated, *outliers], departures.found)
+    # Coloured noise is said by the tests of whiteness, with what may colour it.
+    white = estimate.tests.white
+    named = tuple(one for one in departures.found if white or one.name != "coloured noise")
+    sentences += _tests(estimate, recording, [*repeated, *outliers], named)
     sentences += departures.open
     sentences += _period(estimate, recording)
     for name in recording.absent:
@@ -66,7 +69,7 @@ def sentences_of(
     if recording.logged and not estimate.log.within:
         sentences.append("The mode is taken to change at samples only.")
     sentences += [why] if why else []
-    doubts = [departure.doubt for departure in departures.found]
+    doubts = [departure.doubt for departure in named]
     doubts += _doubts(estimate, recording)
     if outliers:
         doubts.append("a measurement lies farther off than chance makes it")
