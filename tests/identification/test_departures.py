@@ -16,13 +16,8 @@ from scipy.linalg import expm
 
 import deadtime as dt
 from deadtime.cli import main
-from deadtime.identification.departures import (
-    Probe,
-    delay_grid,
-    departures_of,
-    fit_lag,
-    lag_weights,
-)
+from deadtime.identification.actuators import delay_grid, lag_weights
+from deadtime.identification.departures import Probe, departures_of, fit_lag
 from deadtime.identification.score_tests import Regression, best_of_path, log_tail, random_walk
 
 H, SUB = 0.05, 20

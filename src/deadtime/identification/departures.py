@@ -26,6 +26,12 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from deadtime.identification.actuators import (
+    delay_grid,
+    lag_weights,
+    rate_limited,
+    with_backlash,
+)
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.innovations import Innovations
 from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
@@ -43,15 +49,13 @@ from deadtime.identification.score_tests import (
 _ROWS = 4_000  # of a long log that are tested
 _LAGS = 0.25 * 1.5 ** np.arange(16)  # time constants tried, in periods, as far as the delay is long
 _TAIL = 4.0  # lags after which the rest of a lag counts as one delay
-_DENSE = 5  # half periods near a delay that are all nodes
 _CLIMB = 10  # steps of the fit of a lag
 _SETTLED = 1e-3  # fall of the sum of squares that ends it
 _LIGHT = 1e-3  # weight of a delay whose slopes are left out
 _CLIPPED = (0.05, 0.1, 0.2, 0.3)  # shares of an input beyond a limit
 _DEAD = (0.1, 0.2, 0.35, 0.5)  # within a dead zone
-_RAMPS = 0.5 * 2.0 ** np.arange(
-    0.0, 5.0, 0.5
-)  # periods in which a limited input makes its largest step
+# Periods in which an input of limited rate makes its largest step.
+_RAMPS = 0.5 * 2.0 ** np.arange(0.0, 5.0, 0.5)
 _SLACK = (0.05, 0.1, 0.2, 0.4)  # backlash in shares of the input's range
 _STEPS = 24  # times at which a load may begin
 _COSINES = 10  # of a random walk
@@ -475,34 +479,6 @@ class Probe(NamedTuple):
         return self.innovations.to_signals(vector, np.split(signals, ends, axis=1))
 
 
-def delay_grid(low: float, high: float, D: float, step: float) -> Float[np.ndarray, " node"]:
-    """Delays between which responses are nearly linear: half periods, sparser far from D."""
-    unit = 0.5 * step
-    first, last, near = (int(np.floor(one / unit)) for one in (low, high, D))
-    away = np.unique(np.round(np.concatenate((np.arange(_DENSE), _DENSE * 1.6 ** np.arange(40)))))
-    places = np.unique(near + np.concatenate((-away, away + 1)))
-    places = places[(places >= first) & (places <= last + 1)]
-    return unit * np.union1d(places, (first, last + 1))
-
-
-def lag_weights(
-    grid: Float[np.ndarray, " node"], first: float, lag: float
-) -> Float[np.ndarray, " node"]:
-    """∫ h_i(s) e^{−(s − first)/lag} ds/lag from `first` on, h_i the hat function of node i.
-
-    Second differences of the second integral of the density; beyond the last node its value holds.
-
-    Examples
-    --------
-    >>> weights = lag_weights(np.arange(0.0, 9.0, 0.5), 0.25, 1.0)
-    >>> weights.sum().round(9), (weights @ np.arange(0.0, 9.0, 0.5)).round(3)
-    (np.float64(1.0), np.float64(1.25))
-    """
-    s = np.maximum(grid - first, 0.0)
-    slopes = np.diff(s + lag * np.expm1(-s / lag)) / np.diff(grid)
-    return np.diff(slopes, prepend=0.0, append=1.0)
-
-
 class LagFit(NamedTuple):
     """The fit of an input's lag: its time constant and standard error, and the delay alone."""
 
@@ -560,50 +536,6 @@ def fit_lag(probe: Probe, j: int, lag: float) -> LagFit:
         if fall < _SETTLED:
             break
     return LagFit(float(theta[-1]), error, float(theta[-2]))
-
-
-def rate_limited(
-    u: Float[np.ndarray, " row"], t: Float[np.ndarray, " row"], rate: float
-) -> Float[np.ndarray, " row"]:
-    """The mean over each row of an output that moves to the input no faster than a rate.
-
-    Examples
-    --------
-    >>> rate_limited(np.array([0.0, 3.0, 3.0, 3.0]), np.arange(4.0), 2.0)
-    array([0.  , 1.  , 2.75, 3.  ])
-    """
-    result, now = np.empty(u.size), float(u[0])
-    lengths = np.diff(t, append=np.inf)  # the last row's output is held
-    for k, (target, length) in enumerate(zip(u, lengths, strict=True)):
-        if not np.isfinite(target):
-            result[k] = target
-            continue
-        now = now if np.isfinite(now) else float(target)
-        gap, reach = float(target) - now, rate * float(length)
-        if abs(gap) <= reach:
-            result[k] = target - 0.5 * gap * abs(gap) / reach
-            now = float(target)
-        else:
-            result[k] = now + 0.5 * np.sign(gap) * reach
-            now += np.sign(gap) * reach
-    return result
-
-
-def with_backlash(u: Float[np.ndarray, " row"], width: float) -> Float[np.ndarray, " row"]:
-    """The output of play of a width, centred at first.
-
-    Examples
-    --------
-    >>> with_backlash(np.array([0.0, 2.0, 1.5, 0.0]), 1.0)
-    array([0. , 1.5, 1.5, 0.5])
-    """
-    result, now = np.empty(u.size), float(u[0])
-    for k, value in enumerate(u):
-        if np.isfinite(value):
-            now = float(value) if not np.isfinite(now) else now
-            now = min(max(now, value - 0.5 * width), value + 0.5 * width)
-        result[k] = now
-    return result
 
 
 def _range(ends: np.ndarray) -> str:
