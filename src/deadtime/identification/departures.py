@@ -64,9 +64,10 @@ _COSINES = 10  # of a random walk
 _SLOW = 2.0
 _NOISE_LAGS = 2  # of coloured noise
 _SURE = 3.0  # standard errors that a departure of full size must make
-# Factors of the rise of 2 log L: steps of one size do not tell a lag from a limited rate, and any
-# departure colours the noise.
-_LIKELY = {"actuator lag": 1.25, "coloured noise": 0.5}
+# Factors of the rise of 2 log L in choosing: steps of one size do not tell a lag from a limited
+# rate, a walk resembles a step, and any departure colours the noise.
+_LAG, _LOAD, _COLOUR = 1.25, 1.15, 0.5
+_SAME = 1e-6  # relative difference of steps of one size
 _NEARLY = 0.7  # of the rise of 2 log L of the best alternative: another one explains nearly as much
 _MORE = 0.2  # of it: a load or drift beside it is no remainder of it
 _ONE_SIDED = 1.645  # standard errors
@@ -82,7 +83,7 @@ class Departure(NamedTuple):
 
     name : "actuator lag", "rate limit", "saturation", "dead zone", "backlash", "delay per mode",
     "coloured noise", "unlogged load" or "drift"
-    statistic : the rise of 2 log L, by its score test, less the number of coefficients
+    statistic : the rise of 2 log L, by its score test, less twice the number of coefficients
     chance : the probability of more in a log that lacks nothing, of this test alone
     sentence : the departure; advice : what to do
     others : names of departures that explain nearly as much
@@ -129,11 +130,15 @@ class Departures(NamedTuple):
 
 
 class Alternative(NamedTuple):
-    """A departure, its test, and its sentence and advice where it is found."""
+    """A departure, its test, and its sentence and advice where it is found.
+
+    weight : factor of its rise of 2 log L where it is compared with others
+    """
 
     name: str
     test: Callable[[Regression], Score | None]
     say: Callable[[Score], tuple[str, str]]
+    weight: float = 1.0
 
 
 def departures_of(estimate: Estimate) -> Departures:
@@ -153,7 +158,7 @@ def _found(fit: Regression, probe: Probe) -> tuple[Departure, ...]:
         if min(score.log_chance for _, score in scores) >= level:
             break
         likely = [one for one in scores if one[1].log_chance < np.log(CHANCE)]
-        best, score = max(likely, key=lambda one: one[1].rise * _LIKELY.get(one[0].name, 1.0))
+        best, score = max(likely, key=lambda one: one[1].rise * one[0].weight)
         if found and score.rise < _MORE * found[0].statistic:
             break
         alike = {
@@ -237,10 +242,15 @@ class Probe(NamedTuple):
         name, h = self.log.recording.inputs[j], self.log.recording.step
         lags = self._lags(j)
         smeared = self.lagged(j, lags)
+        steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
+        steps = steps[steps > 0.0]  # NaN is not
+        largest = float(steps.max(initial=0.0))
+        alike = bool((steps > (1.0 - _SAME) * largest).all())
         yield Alternative(
             "actuator lag",
             lambda fit: best_of_path(fit, smeared, True, _SURE),
             lambda score: self._say_lag(j, float(lags[score.place])),
+            _LAG if alike else 1.0,
         )
         u = np.concatenate([part.input[:, j] for part in self.parts])
         u = u[np.isfinite(u)]
@@ -269,8 +279,6 @@ class Probe(NamedTuple):
                 f"Log what the actuator delivers as {name}, or move {name} by more than that.",
             ),
         )
-        steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
-        largest = float(np.nanmax(steps, initial=0.0))
         rates = largest / (h * _RAMPS)
         yield self._of_map(
             "rate limit",
@@ -432,7 +440,7 @@ class Probe(NamedTuple):
                 "plant as an input, or raise the order by the disturbance's states.",
             )
 
-        return Alternative("coloured noise", lambda fit: together(fit, padded), say)
+        return Alternative("coloured noise", lambda fit: together(fit, padded), say, _COLOUR)
 
     def _of_level(self, a: int) -> Iterator[Alternative]:
         # Signals are functions of the row, as several logs may have the same times.
@@ -451,6 +459,7 @@ class Probe(NamedTuple):
                 f"acts on {state}.",
                 "Log it as an input, or identify from the rows before that time or after it alone.",
             ),
+            _LOAD,
         )
         yield Alternative(
             "drift",

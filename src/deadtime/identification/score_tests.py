@@ -34,7 +34,7 @@ class Score(NamedTuple):
     """The result of a test.
 
     log_chance : the logarithm of the probability of more, if the model lacks nothing
-    rise : of 2 log L, less the number of coefficients
+    rise : of 2 log L, less twice the number of coefficients (Akaike)
     directions : (data, some), those that explain the residuals
     place, size : of the best direction of a path, and its coefficient
     """
@@ -95,7 +95,7 @@ def best_of_path(
     >>> fit = Regression.of(np.array([0.0, 0.0, 5.0, 0.0]), np.eye(4)[:, :1])
     >>> score = best_of_path(fit, np.eye(4))
     >>> score.place, score.rise, round(float(np.exp(score.log_chance)) * 1e6, 2)
-    (2, 24.0, 1.72)
+    (2, 23.0, 1.72)
     """
     from scipy.stats import norm
 
@@ -117,7 +117,7 @@ def best_of_path(
     log_chance = min(0.0, tail + np.log(tried.size), float(tube)) + np.log(2.0 - one_sided)
     at = int(tried[best])
     size = float(fit.residuals @ u[:, best] / length[at])
-    return Score(min(0.0, log_chance), c * c - 1.0, d[:, [at]], at, size)
+    return Score(min(0.0, log_chance), c * c - 2.0, d[:, [at]], at, size)
 
 
 def together(fit: Regression, d: Float[np.ndarray, "datum some"]) -> Score | None:
@@ -129,7 +129,7 @@ def together(fit: Regression, d: Float[np.ndarray, "datum some"]) -> Score | Non
         return None
     explained = basis_of(own).T @ fit.residuals
     total = float(explained @ explained)
-    return Score(float(chi2.logsf(total, explained.size)), total - explained.size, d)
+    return Score(float(chi2.logsf(total, explained.size)), total - 2.0 * explained.size, d)
 
 
 def random_walk(fit: Regression, d: Float[np.ndarray, "datum cosine"]) -> Score | None:
