@@ -143,7 +143,7 @@ class Alternative(NamedTuple):
 
 def departures_of(estimate: Estimate) -> Departures:
     """The departures of a log with logged modes, from its estimate."""
-    if estimate.missed.any() or _is_exact(estimate):
+    if estimate.missed.any() or estimate.outside or _is_exact(estimate):
         return Departures()
     probe = Probe.of(estimate)
     fit = Regression.of(probe.innovations.stacked(probe.white), probe.slopes)

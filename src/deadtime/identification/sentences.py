@@ -286,11 +286,10 @@ def _tests(
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], estimate.searched
-        outside = not low - recording.step < tests.input_delay < high + recording.step
         cause = (
             f"a delay outside the range searched, {low:.4g} … {high:.4g} s: widen "
             "delay=(low, high), --delay LOW HIGH; or a second path of that input."
-            if outside
+            if estimate.outside
             else "a second path of that input, a delay that is not constant, or a state that is "
             "missing."
         )
