@@ -65,8 +65,8 @@ _SLOW = 2.0
 _NOISE_LAGS = 2  # of coloured noise
 _SURE = 3.0  # standard errors that a departure of full size must make
 # Factors of the rise of 2 log L in choosing: steps of one size do not tell a lag from a limited
-# rate, a walk resembles a step, and any departure colours the noise.
-_LAG, _LOAD, _COLOUR = 1.25, 1.15, 0.5
+# rate, a walk resembles a step and coloured noise, and any departure colours the noise.
+_LAG, _LOAD, _DRIFT, _COLOUR = 1.25, 0.7, 0.6, 0.5
 _SAME = 1e-6  # relative difference of steps of one size
 _NEARLY = 0.7  # of the rise of 2 log L of the best alternative: another one explains nearly as much
 _MORE = 0.2  # of it: a load or drift beside it is no remainder of it
@@ -469,6 +469,7 @@ class Probe(NamedTuple):
                 "Log what drives it as an input, identify from a stretch in which it is steady, or "
                 "of one mode subtract moving means of the same length from all columns.",
             ),
+            _DRIFT,
         )
 
     def _slow(self, fit: Regression) -> Regression:
