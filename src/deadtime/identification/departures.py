@@ -116,7 +116,7 @@ _DOUBT = {
 
 
 @runtime_checkable
-class Predicted(Protocol):
+class WithInnovations(Protocol):
     """A likelihood whose innovations are known."""
 
     def innovations_at(self, vector: Vector, window: Window) -> Innovations: ...
@@ -216,7 +216,7 @@ class Probe(NamedTuple):
         log, vector = estimate.log, estimate.best.theta
         some = log.recording.stretches(_ROWS, log.recording.lag(estimate.window[1]))
         log = replace(log, recording=some)
-        innovations = cast(Predicted, log).innovations_at(vector, estimate.window)
+        innovations = cast(WithInnovations, log).innovations_at(vector, estimate.window)
         white = np.clip(innovations.residuals(vector), -_FAR, _FAR)
         slopes = innovations.slopes(vector)
         return cls(log, vector, estimate.window, innovations, white, slopes)
@@ -394,7 +394,7 @@ class Probe(NamedTuple):
         A, B, delays = layout.split(self.vector[: layout.size])
         vector = np.concatenate((own.join(A, B, delays), self.vector[layout.size :]))
         log = replace(self.log, layout=own)
-        slopes = cast(Predicted, log).innovations_at(vector, self.window).slopes(vector)
+        slopes = cast(WithInnovations, log).innovations_at(vector, self.window).slopes(vector)
 
         def say(j: int) -> tuple[str, str]:
             best, _ = maximise(log, vector, gain=1e-4)
@@ -459,7 +459,7 @@ class Probe(NamedTuple):
                 f"acts on {state}.",
                 "Log it as an input, or identify from the rows before that time or after it alone.",
             ),
-            _LOAD,
+            _LOAD * self._doubled,
         )
         yield Alternative(
             "drift",
@@ -469,12 +469,16 @@ class Probe(NamedTuple):
                 "Log what drives it as an input, identify from a stretch in which it is steady, or "
                 "of one mode subtract moving means of the same length from all columns.",
             ),
-            _DRIFT,
+            _DRIFT * self._doubled,
         )
 
+    @property
+    def _doubled(self) -> float:
+        """The factor by which slow signals must explain more: see `_SLOW`."""
+        return _SLOW if len(self.slopes) > self.white.size else 1.0
+
     def _slow(self, fit: Regression) -> Regression:
-        noisy = len(self.slopes) > self.white.size
-        return fit._replace(residuals=fit.residuals / np.sqrt(_SLOW)) if noisy else fit
+        return fit._replace(residuals=fit.residuals / np.sqrt(self._doubled))
 
     def _to_signals(
         self, a: int, signals: Float[np.ndarray, "many row"]
