@@ -358,6 +358,7 @@ def _record(fit: Identification, sentences: list[str]) -> dict:
         "intervals": ends,
         "log_likelihood": fit.log_likelihood,
         "hidden": fit.hidden and record(fit.hidden, *_OF_HIDDEN),
+        "departures": [one._asdict() for one in fit.departures],
         "validation": fit.validation and record(fit.validation, *_OF_VALIDATION),
         "read_as": fit.read_as,
         "sentences": sentences,

@@ -160,6 +160,12 @@ class Estimate(Peak):
         vague = self.several | (right - left > _WIDE * (high - low))
         return at_edge, (left <= least) | (right >= high), vague
 
+    @property
+    def outside(self) -> bool:
+        """Whether residuals depend most on an input of a delay outside the range searched."""
+        (low, high), h = self.searched, self.log.recording.step
+        return not (self.tests.unrelated or low - h < self.tests.input_delay < high + h)
+
     @cached_property
     def places(self) -> dict[str, int]:
         """The place of each unknown by name: in the layout, then W's diagonals, then the sensors.

@@ -12,11 +12,12 @@ import numpy as np
 from deadtime.base.checks import positive
 from deadtime.base.errors import ArgumentError
 from deadtime.base.files import replacing
+from deadtime.identification.departures import Departures, departures_of
 from deadtime.identification.differences import contradictions
 from deadtime.identification.estimate import IdentifiedLog
 from deadtime.identification.identified_plant import Findings
 from deadtime.identification.levels import rest_of
-from deadtime.identification.sentences import sentences_of, verdict_of
+from deadtime.identification.sentences import repeats, sentences_of, verdict_of
 from deadtime.identification.validation import (
     DOUBT,
     NOT_LOGGED,
@@ -67,6 +68,10 @@ class Identification(Findings):
         The results in words.
     doubts : tuple of str
         Reasons why intervals may not contain the delays; then no verdict is "enough".
+    departures : tuple of Departure
+        What the log shows and the model lacks, such as a lag of the actuator: `name`, `statistic`
+        (the rise of 2 log L), `chance`, `sentence`, `advice`, and `others` that explain nearly as
+        much. Logs whose modes are hidden are not tested.
     validation : Validation or None
         How well the plant predicts the log of `test`.
     worse_than_constant : bool
@@ -85,7 +90,10 @@ class Identification(Findings):
         estimate, recording, C, states = log.estimate, log.recording, log.C, log.states
         estimate.require_inside()
         rest = rest_of(estimate, np.linalg.pinv(C))
-        sentences, doubts = sentences_of(estimate, recording, C, log.why, rest, states)
+        untimed = log.modes is not None or bool(repeats(recording))
+        departures = Departures() if untimed else departures_of(estimate)
+        given = estimate, recording, C, log.why, rest, states, departures
+        sentences, doubts = sentences_of(*given)
         fit = cls(
             plant=estimate.plant,
             delay_interval=estimate.log.layout.spread(estimate.intervals),
@@ -102,6 +110,7 @@ class Identification(Findings):
             sentences=sentences,
             hidden=log.modes,
             doubts=(*doubts, *log.doubts),
+            departures=departures.found,
             _estimate=estimate,
             _recording=recording,
             _C=C,

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deadtime.base.frozen import Frozen
+from deadtime.identification.departures import Departure
 from deadtime.identification.estimate import Estimate, HiddenModes
 from deadtime.identification.levels import Rest
 from deadtime.identification.likelihoods.noisy_log import largest_of
@@ -50,6 +51,7 @@ class Findings(Frozen):
     _C: SensorMatrix = field(repr=False)
     hidden: HiddenModes | None = None
     doubts: tuple[str, ...] = ()
+    departures: tuple[Departure, ...] = ()
     validation: Validation | None = None
     worse_than_constant: bool = False
     _rest: Rest | None = field(default=None, repr=False)

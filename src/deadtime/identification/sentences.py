@@ -23,6 +23,7 @@ from deadtime.plant import SwitchedSystem
 
 if TYPE_CHECKING:
     from deadtime.feedback import Law
+    from deadtime.identification.departures import Departure, Departures
     from deadtime.identification.identified_plant import Findings
     from deadtime.margins import DelayMargin
 
@@ -43,16 +44,22 @@ def sentences_of(
     why: str,
     rest: Rest | None,
     states: tuple[str, ...],
+    departures: Departures,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Sentences on delays, operating point, noise, residuals and assumptions; and doubts.
 
     why : there is no switching model
     """
-    repeats, outliers = _repeats(recording), _outliers(estimate, recording, C)
+    repeated, outliers = repeats(recording), _outliers(estimate, recording, C)
     sentences = _delays(estimate, recording)
     sentences += process_sentences(processes_of(estimate, recording, C), recording, len(C))
     sentences += _levels(estimate, recording, rest, states)
-    sentences += [*_noise(estimate), *_tests(estimate, recording, [*repeats, *outliers])]
+    sentences += _noise(estimate)
+    # Coloured noise is said by the tests of whiteness, with what may colour it.
+    white = estimate.tests.white
+    named = tuple(one for one in departures.found if white or one.name != "coloured noise")
+    sentences += _tests(estimate, recording, [*repeated, *outliers], named)
+    sentences += departures.open
     sentences += _period(estimate, recording)
     for name in recording.absent:
         sentences.append(
@@ -64,10 +71,11 @@ def sentences_of(
         sentences.append("The mode is taken to change at samples only.")
     sentences += [why] if why else []
     sentences += recording.read_as
-    doubts = _doubts(estimate, recording)
+    doubts = [departure.doubt for departure in named]
+    doubts += _doubts(estimate, recording)
     if outliers:
         doubts.append("a measurement lies farther off than chance makes it")
-    if repeats:
+    if repeated:
         doubts.append("measurements are repeated, so that their times are not known")
     return tuple(sentences), tuple(doubts)
 
@@ -222,9 +230,16 @@ def _noise(estimate: Estimate) -> list[str]:
     return [f"Measurements are noisy: standard deviation {', '.join(deviations)}."]
 
 
-def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str]:
-    """Sentences on residuals, after those on odd readings."""
+def _tests(
+    estimate: Estimate,
+    recording: Recording,
+    odd: list[str],
+    departures: tuple[Departure, ...],
+) -> list[str]:
+    """Sentences on residuals, after those on odd readings; causes unless departures are known."""
     tests, sentences = estimate.tests, odd
+    if departures:
+        return [*odd, *(f"{one.sentence} {one.advice}" for one in departures)]
     if tests.white and tests.unrelated and not sentences:
         return ["What is left of the log looks like chance: it is white, and no input is in it."]
     if not tests.white:
@@ -237,11 +252,10 @@ def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str
         )
     if not tests.unrelated:
         name, (low, high) = recording.inputs[tests.input], estimate.searched
-        outside = not low - recording.step < tests.input_delay < high + recording.step
         cause = (
             f"a delay outside the range searched, {low:.4g} … {high:.4g} s: widen "
             "delay=(low, high), --delay LOW HIGH; or a second path of that input."
-            if outside
+            if estimate.outside
             else "a second path of that input, a delay that is not constant, or a state that is "
             "missing."
         )
@@ -251,7 +265,7 @@ def _tests(estimate: Estimate, recording: Recording, odd: list[str]) -> list[str
     return sentences
 
 
-def _repeats(recording: Recording) -> list[str]:
+def repeats(recording: Recording) -> list[str]:
     """Sentences on outputs that often repeat the value before, though values are not rounded."""
     sentences = []
     for column, name in enumerate(recording.outputs):

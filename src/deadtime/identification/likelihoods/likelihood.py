@@ -15,15 +15,22 @@ the triangular factor of the stacked z, block by block, because squaring would l
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from deadtime.base.frozen import Frozen
-from deadtime.identification.log.recording import Recording
+from deadtime.identification.likelihoods.innovations import (
+    Changes,
+    Signals,
+    with_inputs,
+    without_constants,
+)
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import (
     Cells,
     FisherMatrix,
@@ -280,3 +287,87 @@ class ExactLog(PlantLikelihood):
             return lambda theta: concentrated(terms(theta), self.layout.size)[0]
 
         return within
+
+    def innovations_at(self, vector: Vector, window: Window) -> ExactInnovations:
+        """Errors of a period, for score tests; `window`: of the delays, seconds."""
+        return ExactInnovations.at(self, vector, window)
+
+
+class ExactInnovations(NamedTuple):
+    """Innovations of exact states: their errors of one period.
+
+    usable : the periods of every part; roots : of the noise's covariance in each mode
+    """
+
+    log: ExactLog
+    usable: tuple[Int[np.ndarray, " period"], ...]
+    roots: Squares
+
+    @classmethod
+    def at(cls, log: ExactLog, vector: Vector, window: Window) -> ExactInnovations:
+        parts = log.recording.parts
+        k = tuple(log.sampling.usable(part, log.within, *window) for part in parts)
+        terms = log.terms_in(*window)(log.cells(vector))(vector)
+        counts = np.array([term.periods for term in terms])
+        spare = np.maximum(counts - log.layout.n - log.layout.acting - 1, 1)
+        S = concentrated(terms, log.layout.size)[1] * (counts / spare)[:, None, None]
+        return cls(log, k, np.linalg.cholesky(S))
+
+    def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
+        return self._errors(vector, self.log.recording.parts)
+
+    def slopes(self, vector: Vector) -> Float[np.ndarray, "datum size"]:
+        log, layout = self.log, self.log.layout
+        result = np.zeros((log.recording.samples, layout.n, layout.size))
+        maps = log.sampling.maps(layout, vector, log.cells(vector))
+        for mode, rows, z in self._periods(vector, log.recording.parts):
+            moved = np.tensordot(z[:, layout.n :], maps[mode].by_P, (1, 2))
+            white = np.linalg.solve(self.roots[mode], moved.transpose(0, 2, 1))
+            result[rows[:, None], :, maps[mode].place] = white.transpose(0, 2, 1)
+        return result.reshape(-1, layout.size)
+
+    def stacked(self, residuals: Float[np.ndarray, "row p"]) -> Float[np.ndarray, " datum"]:
+        return residuals.ravel()
+
+    def responses(self, vector: Vector, inputs: Changes) -> Float[np.ndarray, "datum many"]:
+        log, n, parts = self.log, self.log.layout.n, self.log.recording.parts
+        maps = log.sampling.maps(
+            log.layout, without_constants(log.layout, vector), log.cells(vector), slopes=False
+        )
+        whole = [np.linalg.solve(self.roots[i], one.P) for i, one in enumerate(maps)]
+        result = np.zeros((len(inputs[0]), log.recording.samples, n))
+        for one, changed in enumerate(with_inputs(parts, inputs)):
+            for mode, rows, z in self._periods(vector, changed):
+                result[one, rows] = z[:, n:] @ whole[mode].T
+        return np.nan_to_num(result.reshape(len(result), -1)).T
+
+    def to_signals(self, vector: Vector, signals: Signals) -> Float[np.ndarray, "datum many"]:
+        # A period has no memory: its response is that to 1 times the signal at its beginning.
+        parts, p = self.log.recording.parts, self.log.layout.n
+        one = [np.ones((1, *part.input.shape)) for part in parts]
+        early = [np.hstack((s[:, :1], s[:, :-1])) for s in signals]
+        acting = np.repeat(np.hstack(early).T, p, axis=0)
+        return self.responses(vector, one) * acting
+
+    def _periods(
+        self, vector: Vector, parts: Sequence[Part]
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Mode, rows among those of all parts, and z of the usable periods, mode by mode."""
+        log = self.log
+        reads, first = log.sampling.reads(log.layout, vector, log.cells(vector)), 0
+        for part, every in zip(parts, self.usable, strict=True):
+            for mode in range(log.layout.modes):
+                k = every[part.mode[every] == mode]
+                if k.size:
+                    z = log.sampling.rows(part, k, reads[mode], log.layout.constant)
+                    yield mode, first + k + 1, z
+            first += part.time.size
+
+    def _errors(self, vector: Vector, parts: Sequence[Part]) -> Float[np.ndarray, "row p"]:
+        log, n = self.log, self.log.layout.n
+        maps = log.sampling.maps(log.layout, vector, log.cells(vector), slopes=False)
+        result = np.zeros((sum(part.time.size for part in parts), n))
+        for mode, rows, z in self._periods(vector, parts):
+            e = z[:, :n] - z[:, n:] @ maps[mode].P.T
+            result[rows] = np.linalg.solve(self.roots[mode], e.T).T
+        return result

@@ -42,6 +42,12 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
+from deadtime.identification.likelihoods.innovations import (
+    Changes,
+    Signals,
+    with_inputs,
+    without_constants,
+)
 from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.likelihoods.switched_filter import (
     Places,
@@ -341,6 +347,10 @@ class NoisyLog(SensorLikelihood):
         e, s = zip(*((block.e, block.s) for block in blocks), strict=True)
         return np.vstack(e), np.vstack(s)
 
+    def innovations_at(self, vector: Vector, window: Window) -> FilterInnovations:
+        """Innovations of the filter, for score tests; `window`: of the delays, seconds."""
+        return FilterInnovations.at(self, vector, window)
+
     def value(self, vector: Vector, starts: Starts) -> float:
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
 
@@ -353,6 +363,65 @@ class NoisyLog(SensorLikelihood):
         score[free], information[np.ix_(free, free)] = now.score, now.information
         known = np.isfinite(score).all() and np.isfinite(information).all()
         return Evaluation(now.value if known else -np.inf, score, information)
+
+
+class FilterInnovations(NamedTuple):
+    """Innovations of noisy measurements: those of Kalman's filter."""
+
+    log: NoisyLog
+    starts: Starts
+
+    @classmethod
+    def at(cls, log: NoisyLog, vector: Vector, window: Window) -> FilterInnovations:
+        return cls(log, log.starts(*window))
+
+    def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
+        e, s = self.log.innovations(vector, self.starts)
+        return np.where(self._known, e / np.sqrt(s), 0.0)
+
+    def slopes(self, vector: Vector) -> Float[np.ndarray, "datum size"]:
+        log = self.log
+        places = Places.of(log.layout, len(log.C), log.free)
+        blocks = list(log.filter(vector, self.starts).innovations(places))
+        s = np.concatenate([block.s for block in blocks])[:, :, None]
+        by_e = np.concatenate([block.by_e for block in blocks]) / np.sqrt(s)
+        by_s = np.concatenate([block.by_s for block in blocks]) / (np.sqrt(2.0) * s)
+        known = self._known[:, :, None]
+        result = np.zeros((2, *known.shape[:2], log.size))
+        result[0][:, :, log.free] = np.where(known, -by_e, 0.0)
+        result[1][:, :, log.free[places.wide]] = np.where(known, by_s, 0.0)
+        return result.reshape(-1, log.size)
+
+    def stacked(self, residuals: Float[np.ndarray, "row p"]) -> Float[np.ndarray, " datum"]:
+        variance = np.where(self._known, residuals**2 - 1.0, 0.0) / np.sqrt(2.0)
+        return np.concatenate((residuals.ravel(), variance.ravel()))
+
+    def responses(self, vector: Vector, inputs: Changes) -> Float[np.ndarray, "datum many"]:
+        given, parts = without_constants(self.log.layout, vector), self.log.recording.parts
+        many = with_inputs(parts, inputs)
+        own = self.log.filter(given, self.starts)
+        copied = own._replace(
+            parts=tuple(part for each in many for part in each),
+            starts=own.starts * len(many),
+            left_out=own.left_out * len(many),
+        )
+        blocks = copied.innovations(Places.none(self.log.layout.modes))
+        e = np.concatenate([block.e / np.sqrt(block.s) for block in blocks])
+        e = np.where(self._known, e.reshape(len(many), *self._known.shape), 0.0)
+        means = e.reshape(len(many), -1).T
+        return -np.concatenate((means, np.zeros(means.shape)))
+
+    def to_signals(self, vector: Vector, signals: Signals) -> Float[np.ndarray, "datum many"]:
+        inputs = [np.zeros((*one.shape, self.log.layout.m)) for one in signals]
+        for own, one in zip(inputs, signals, strict=True):
+            own[:, :, 0] = one
+        return self.responses(vector, inputs)
+
+    @property
+    def _known(self) -> np.ndarray:
+        log = self.log
+        fresh = np.concatenate(self.starts)[:, None] | np.vstack(log.initial(self.starts))
+        return np.isfinite(np.vstack([part.output for part in log.recording.parts])) & ~fresh
 
 
 _MOST = 10_000  # samples of a long log whose states are computed
