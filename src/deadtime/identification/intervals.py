@@ -49,7 +49,8 @@ _CELL_GAIN = 1e-3  # rise of log likelihood that ends the climb in a cell
 _WORTH = 1e-5  # the same for profiles, which fall by 1.9 or more to the end of an interval
 _PARABOLA = 0.1  # of its fall to an end: a profile so near a parabola is taken as one
 _PRECISE = 0.02  # of a standard error: ends of profiles of A and B
-_FAR = 50.0  # times the quadratic interval: a profile that has not fallen there never will
+_FAR = 50.0  # times the interval of a parabola: a profile is followed no farther
+_DEEP = -1e6  # least log likelihood of a profile: an exponential that overflows has −∞
 _NEAR = 4.0  # standard errors: a nearer kink lies within the interval or close to it
 
 
@@ -213,7 +214,7 @@ class Peak(Frozen):
         origin, fall, top = float(self.best.theta[place]), float(self.spread.fall[place]), self
 
         def left(shift: float) -> float:
-            return top.profile(place, origin + shift) + fall
+            return max(top.profile(place, origin + shift), _DEEP) + fall
 
         inner, outer = 0.0, reach * step
         while True:
@@ -227,7 +228,7 @@ class Peak(Frozen):
             inner = end - origin
             if end == origin + outer:
                 if abs(outer) > _FAR * abs(reach * step):
-                    return float(np.copysign(np.inf, step))
+                    return end
                 outer = 1.5 * outer
             elif end in bounds:
                 return end
