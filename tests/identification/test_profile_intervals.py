@@ -73,57 +73,84 @@ def test_a_quiet_plants_delay_is_as_certain_as_by_output_errors(steps, rows, see
 
 
 def filtered(log, a, b, delay, W):
-    """log L of measurements for a step at row 20: R is concentrated, x_0 integrated out."""
+    """log L of measurements for a step at row 20, and R.
+
+    R is concentrated, x_0 integrated out, W in units of R.
+    """
     t, y = log["t"].to_numpy(), log["x"].to_numpy()
     e, free = y - b * response(a, delay, ONE, t), np.exp(a * t)
     phi, Q = np.exp(a), W * np.expm1(2.0 * a) / (2.0 * a)
     own = other = P = total = squares = cross = of_y = 0.0
-    for one, start in zip(e.tolist(), free.tolist(), strict=True):  # W in units of R
+    for one, start in zip(e.tolist(), free.tolist(), strict=True):
         s = P + 1.0
         left, by_start = one - own, start - other
         total, of_y = total + np.log(s), of_y + left * left / s
         squares, cross = squares + by_start * by_start / s, cross + by_start * left / s
         own, other = phi * (own + P / s * left), phi * (other + P / s * by_start)
         P = phi * phi * P / s + Q
-    rows = y.size - 1
-    return -0.5 * (total + np.log(squares) + rows * np.log(of_y - cross**2 / squares))
+    R = (of_y - cross**2 / squares) / (y.size - 1)
+    return -0.5 * (total + np.log(squares) + (y.size - 1) * np.log(R)), R
 
 
-def largest(log, name=None, value=None):
-    """The largest log L, with one unknown fixed."""
-    names = list(TRUTH)
-    unit = np.array([2e-4, 4e-4, 0.3, 1.0])
+def others_information(log, place, a, b, delay, W, R):
+    """The information on A, B and the delay but one, by the dense normal density."""
+    t = log["t"].to_numpy()
 
-    def loss(p):
+    def moments(a, b, delay):
+        noise = W * R / (2.0 * a) * (np.exp(a * np.add.outer(t, t)) - lags(a))
+        S = noise + 1e4 * R * np.exp(a * np.add.outer(t, t)) + R * np.eye(t.size)
+        return b * response(a, delay, ONE, t), S
+
+    def lags(a):
+        return np.exp(a * np.abs(np.subtract.outer(t, t)))
+
+    theta, moved = np.array([a, b, delay]), []
+    S = np.linalg.inv(moments(*theta)[1])
+    for step in np.delete(np.diag([1e-6, 1e-6, 1e-3]), place, axis=0):
+        ahead, behind = moments(*(theta + step)), moments(*(theta - step))
+        moved.append([(x - y) / (2.0 * step.sum()) for x, y in zip(ahead, behind, strict=True)])
+    mean, by = np.array([one[0] for one in moved]), [S @ one[1] for one in moved]
+    return mean @ S @ mean.T + 0.5 * np.array([[np.trace(x @ y) for y in by] for x in by])
+
+
+def restricted(log, name, value=None):
+    """The largest log L with one unknown fixed, less ½ log det of the others' information."""
+    unit, place = np.array([2e-4, 4e-4, 0.3, 1.0]), list(TRUTH).index(name)
+
+    def unknowns(p):
         now = np.array([*TRUTH.values(), -7.0]) + unit * p  # the logarithm of W over R
-        if name is not None:
-            now[names.index(name)] = value
-        return -filtered(log, *now[:3], np.exp(now[3]))
+        if value is not None:
+            now[place] = value
+        return *now[:3], np.exp(now[3])
 
     p = np.zeros(4)
     for _ in range(2):
         simplex = p + np.vstack((np.zeros(4), np.eye(4)))
         options = {"initial_simplex": simplex, "xatol": 1e-2, "fatol": 1e-3}
-        found = minimize(loss, p, method="Nelder-Mead", options=options)
+        found = minimize(
+            lambda p: -filtered(log, *unknowns(p))[0], p, method="Nelder-Mead", options=options
+        )
         p = found.x
-    return -found.fun
+    theta = unknowns(p)
+    F = others_information(log, place, *theta, filtered(log, *theta)[1])
+    return -found.fun - 0.5 * np.linalg.slogdet(F)[1]
 
 
-def test_about_noise_that_is_there_by_chance_ends_are_those_of_the_likelihood_ratio():
-    """Student's interval of four degrees of freedom is 1.5 times as long."""
+def test_about_noise_that_is_there_by_chance_ends_are_those_of_the_restricted_profile():
     log = log_of(ONE, 240, 0.01, 10)
     fit = identified(log)
     assert fit.disturbance[0, 0, 0] > 1e-7  # the plant has none
-    spread, top = fit._estimate.spread, largest(log)
+    spread = fit._estimate.spread
     assert spread.spare[0] < 5.0
-    fall = 0.5 * 240 * np.log1p(student.ppf(0.975, 235) ** 2 / 235)
-    for name, true in TRUTH.items():
+    fall = 0.5 * 236 * np.log1p(student.ppf(0.975, 235) ** 2 / 235)
+    for place, (name, true) in enumerate(TRUTH.items()):
         low, high = fit.interval(name)
         assert low < true < high
+        half = spread.reach[place] * np.sqrt(spread.covariance[place, place])
+        assert high - low < 2.0 * half  # of a parabola
+        top = restricted(log, name)
         for end in (low, high):
-            assert top - largest(log, name, end) == pytest.approx(fall, rel=0.12)
-    width = 2.0 * spread.reach[0] * np.sqrt(spread.covariance[0, 0])
-    assert np.diff(fit.interval("A[0][0,0]"))[0] < 0.7 * width
+            assert top - restricted(log, name, end) == pytest.approx(fall, rel=0.15)
 
 
 def test_a_climb_that_begins_at_noise_of_0_finds_the_noise():

@@ -4,15 +4,16 @@
 known. Near a kink over a delay it is no parabola. Where the log hardly tells noise of the plant
 from none, as in step tests with a noisy sensor, the precision of every unknown depends on a noise
 that the log does not determine: an interval about W = 0 is too short if there is noise, and one
-about W > 0 by chance several times too long. Then the interval holds all values of an unknown at
-which log L, maximised over all others and the noise, is less than
+about W > 0 by chance may be several times too long. Then the interval holds all values of an
+unknown a at which the profile of the restricted likelihood (Cox and Reid, J. Royal Statistical
+Society B 49(1), 1987), of all other unknowns and the noise,
 
-    ½ κ log(1 + t²/ν)
+    log L_p(a) = max log L − ½ log det F of the plant's other unknowns there,
 
-below its maximum, with κ measurements, ν = κ less the unknowns, and t Student's quantile. In a
-regression this is its interval exactly: the maximum of log L is −½ κ log RSS, and RSS at the ends
-is 1 + t²/ν times the least. If the noise is known, the fall is ½ t² times the inflation of the
-variance.
+is at most ½ (ν + 1) log(1 + t²/ν) below that at the maximum, with ν measurements less unknowns and
+Student's quantile t. In a regression this is its interval exactly: with residual sums of squares
+RSS(a), log L_p = −½ (ν + 1) log RSS(a), and RSS at the ends is 1 + t²/ν times the least. Of known
+noise F is constant, and the fall ½ t² times the inflation of the variance.
 
 Where several delays are plausible, intervals of A and B cover all of them. An interval about the
 likeliest delay alone ignores that the delay is uncertain: of many delays that are about equally
@@ -50,6 +51,7 @@ _WORTH = 1e-5  # the same for profiles, which fall by 1.9 or more to the end of 
 _PARABOLA = 0.1  # of its fall to an end: a profile so near a parabola is taken as one
 _PRECISE = 0.02  # of a standard error: ends of profiles of A and B
 _FAR = 50.0  # times the interval of a parabola: a profile is followed no farther
+_SINGULAR = -20.0  # least fall of log det F: Laplace's approximation is none of a singular F
 _DEEP = -1e6  # least log likelihood of a profile: an exponential that overflows has −∞
 _NEAR = 4.0  # standard errors: a nearer kink lies within the interval or close to it
 
@@ -85,17 +87,17 @@ def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vec
     return Spread(covariance, reach, inflation, spare, 0.5 * reach**2 * inflation)
 
 
-def likelihood_fall(count: float, spare: float) -> float:
-    """The fall of log L of `count` measurements to the ends of a 95 % interval: see the module.
+def restricted_fall(spare: float) -> float:
+    """The fall of a profile of the restricted likelihood to the ends of a 95 % interval.
 
     Examples
     --------
-    >>> round(likelihood_fall(1e6, 1e6), 3), round(likelihood_fall(13.0, 10.0), 3)
-    (1.921, 2.621)
+    >>> round(restricted_fall(1e6), 3), round(restricted_fall(10.0), 3)
+    (1.921, 2.218)
     """
     from scipy.stats import t
 
-    return 0.5 * count * float(np.log1p(t.ppf(0.5 + 0.5 * LEVEL, spare) ** 2 / spare))
+    return 0.5 * (spare + 1.0) * float(np.log1p(t.ppf(0.5 + 0.5 * LEVEL, spare) ** 2 / spare))
 
 
 def inverse(F: FisherMatrix) -> FisherMatrix:
@@ -190,7 +192,10 @@ class Peak(Frozen):
         return ends
 
     def profile(self, place: int, value: float) -> float:
-        """The log likelihood with one unknown fixed, less the largest one."""
+        """The log likelihood with one unknown fixed, less the largest one.
+
+        Of uncertain noise it is restricted: see the module.
+        """
         log, variance = self.log, self.spread.covariance[:, place]
         theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
         plant = slice(log.layout.size)
@@ -198,7 +203,13 @@ class Peak(Frozen):
         theta[place], fixed[place] = value, True
         theta = log.with_visible_noise(theta, self.best.information)
         top, _ = maximise(log, theta, fixed, self.window, _WORTH)
-        return top.value - self.best.value
+        fall = top.value - self.best.value
+        if not self.spread.uncertain:
+            return fall
+        others = np.flatnonzero(np.diagonal(self.spread.covariance)[plant] > 0.0)
+        own = np.ix_(*2 * [others[others != place]])
+        sizes = [np.linalg.slogdet(F[own])[1] for F in (top.information, self.best.information)]
+        return fall - 0.5 * max(float(sizes[0] - sizes[1]), _SINGULAR)
 
     def _profile_end(self, place: int, step: float) -> float:
         """The end of an interval on one side, where the profile crosses its level, or a bound.

@@ -42,9 +42,9 @@ from deadtime.identification.intervals import (
     Peak,
     Spread,
     inverse,
-    likelihood_fall,
     plausible_fall,
     require_identified,
+    restricted_fall,
     spread_of,
 )
 from deadtime.identification.levels import (
@@ -68,7 +68,7 @@ _FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # rise of log likelihood that ends a climb
 _IDENTIFIED = 1.0  # information on a logarithm: noise uncertain by a factor above e stays fixed
-_UNCERTAIN = 30.0  # degrees of freedom of an interval below which its profile is taken
+_UNCERTAIN = 10.0  # degrees of freedom of an interval below which its profile is taken
 _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has no variance
 
 
@@ -133,7 +133,8 @@ def estimate_at(
         best = max(best, beside, key=lambda one: one.value)
     spread, theta = _spread(log, some, best, window, float(beyond))
     if short and _noise_is_uncertain(log, best, spread):
-        spread = spread._replace(uncertain=True)
+        fall = np.full(log.size, restricted_fall(float(beyond)))
+        spread = spread._replace(fall=fall, uncertain=True)
     peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
     own = np.full(log.layout.modes, beyond) if spare is None else spare
     ends = peak.ends_over_peaks() if log.embedding is None else None
@@ -207,10 +208,7 @@ def _spread(
     covariance[own] = of.covariance
     reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
     reach[known], inflation[known] = of.reach, of.inflation
-    fall = 0.5 * reach**2 * inflation
-    # A profile maximises over the noise, and needs no allowance for its uncertainty.
-    fall[less.spare < _UNCERTAIN] = likelihood_fall(most + free.size, most)
-    return Spread(covariance, reach, inflation, less.spare, fall), less.theta
+    return Spread(covariance, reach, inflation, less.spare, 0.5 * reach**2 * inflation), less.theta
 
 
 def noisy_residuals(
