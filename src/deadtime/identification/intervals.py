@@ -3,8 +3,8 @@
 **Profile.** The information describes a log likelihood that is a parabola, and takes the noise as
 known. Near a kink over a delay it is no parabola. Where the log hardly tells noise of the plant
 from none, as in step tests with a noisy sensor, the precision of every unknown depends on a noise
-that the log does not determine: an interval about W = 0 is too short if there is noise, and one
-about W > 0 by chance may be several times too long. Then the interval holds all values of an
+that the log does not determine, and an interval that takes W = 0 as known is too short if there is
+noise. Then the interval holds all values of an
 unknown a at which the profile of the restricted likelihood (Cox and Reid, J. Royal Statistical
 Society B 49(1), 1987), of all other unknowns and the noise,
 
