@@ -92,7 +92,7 @@ def restricted_fall(spare: float) -> float:
     Examples
     --------
     >>> round(restricted_fall(1e6), 3), round(restricted_fall(10.0), 3)
-    (1.921, 2.218)
+    (1.921, 2.217)
     """
     from scipy.stats import t
 
