@@ -1,18 +1,4 @@
-"""Intervals: from the information, from the profile, and over all plausible peaks.
-
-**Profile.** The information describes a log likelihood that is a parabola, and takes the noise as
-known. Near a kink over a delay it is no parabola. Where the log hardly tells noise of the plant
-from none, as in step tests with a noisy sensor, the precision of every unknown depends on a noise
-that the log does not determine, and an interval that takes W = 0 as known is too short if there is
-noise. Then the interval holds all values of an unknown a at which the profile of the restricted
-likelihood (Cox and Reid, J. Royal Statistical Society B 49(1), 1987),
-
-    log L_p(a) = max over the others and the noise (log L) − ½ log det F of the plant's others,
-
-is at most ½ (ν + 1) log(1 + t²/ν) below that at the maximum, with ν measurements less unknowns and
-Student's quantile t. In a regression this is its interval exactly: with residual sums of squares
-RSS(a), log L_p = −½ (ν + 1) log RSS(a), and RSS at the ends is 1 + t²/ν times the least. Of known
-noise F is constant, and the fall ½ t² times the inflation of the variance.
+"""Intervals: from the information, at a kink from the profile, and over all plausible peaks.
 
 Where several delays are plausible, intervals of A and B cover all of them. An interval about the
 likeliest delay alone ignores that the delay is uncertain: of many delays that are about equally
@@ -47,11 +33,6 @@ _UNSEEN = 1e-12  # of an eigenvalue of the information, scaled to a diagonal of 
 _PROFILE = 3.841458820694124  # χ² of one degree of freedom at 95 %
 _CELL_GAIN = 1e-3  # rise of log likelihood that ends the climb in a cell
 _WORTH = 1e-5  # the same for profiles, which fall by 1.9 or more to the end of an interval
-_PARABOLA = 0.1  # of its fall to an end: a profile so near a parabola is taken as one
-_PRECISE = 0.02  # of a standard error: ends of profiles of A and B
-_FAR = 50.0  # times the interval of a parabola: a profile is followed no farther
-_SINGULAR = -20.0  # least fall of log det F: Laplace's approximation is none of a singular F
-_DEEP = -1e6  # least log likelihood of a profile: an exponential that overflows has −∞
 _NEAR = 4.0  # standard errors: a nearer kink lies within the interval or close to it
 
 
@@ -60,16 +41,12 @@ class Spread(NamedTuple):
 
     inflation : ratio of each unknown's variance to the one from the information alone
     spare : degrees of freedom of each unknown: observations less unknowns
-    fall : of the profile of each unknown from its maximum to the ends of the interval
-    uncertain : whether the precision depends on a noise that the log does not determine
     """
 
     covariance: FisherMatrix
     reach: Vector
     inflation: Vector
     spare: Vector
-    fall: Vector
-    uncertain: bool = False
 
 
 def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vector) -> Spread:
@@ -82,21 +59,7 @@ def spread_of(F: FisherMatrix, names: list[str], known: FisherMatrix, spare: Vec
     require_identified(F, names)
     covariance = inverse(known)
     inflation = np.diagonal(covariance) / np.diagonal(inverse(F))
-    reach = np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare))
-    return Spread(covariance, reach, inflation, spare, 0.5 * reach**2 * inflation)
-
-
-def restricted_fall(spare: float) -> float:
-    """The fall of a profile of the restricted likelihood to the ends of a 95 % interval.
-
-    Examples
-    --------
-    >>> round(restricted_fall(1e6), 3), round(restricted_fall(10.0), 3)
-    (1.921, 2.217)
-    """
-    from scipy.stats import t
-
-    return 0.5 * (spare + 1.0) * float(np.log1p(t.ppf(0.5 + 0.5 * LEVEL, spare) ** 2 / spare))
+    return Spread(covariance, np.asarray(t.ppf(0.5 + 0.5 * LEVEL, spare)), inflation, spare)
 
 
 def inverse(F: FisherMatrix) -> FisherMatrix:
@@ -165,8 +128,7 @@ class Peak(Frozen):
         result, several = np.empty((place.size, 2)), np.zeros(place.size, bool)
         for row, (a, own) in enumerate(zip(place.tolist(), error.tolist(), strict=True)):
             D, reach = float(self.best.theta[a]), float(spread.reach[a])
-            near = log.sampling.to_kink(D) < _NEAR * own
-            if log.profiled and (near or spread.uncertain):
+            if log.profiled and log.sampling.to_kink(D) < _NEAR * own:
                 result[row] = [self._profile_end(a, own * sign) for sign in (-1, 1)]
             else:
                 result[row] = D - reach * own, D + reach * own
@@ -175,70 +137,38 @@ class Peak(Frozen):
             several[row], result[row] = (wider != result[row]).any(), wider
         return result, several
 
-    def profiled_ends(self) -> Float[np.ndarray, "unknown 2"]:
-        """Ends of intervals of A and B, from profiles where these differ from a parabola.
-
-        NaN of known entries.
-        """
-        layout, spread = self.log.layout, self.spread
-        ends = np.full((layout.size, 2), np.nan)
-        error = np.sqrt(np.diagonal(spread.covariance))[: layout.size - layout.delays]
-        for a in np.flatnonzero(error).tolist():
-            for side, step in enumerate((-float(error[a]), float(error[a]))):
-                ends[a, side] = end = float(self.best.theta[a] + spread.reach[a] * step)
-                if abs(self.profile(a, end) / spread.fall[a] + 1.0) > _PARABOLA:
-                    ends[a, side] = self._profile_end(a, step)
-        return ends
-
-    def profile(self, place: int, value: float) -> float:
-        """The log likelihood with one unknown fixed, less the largest one.
-
-        Of uncertain noise it is restricted: see the module.
-        """
-        log, variance = self.log, self.spread.covariance[:, place]
+    def profile(self, place: int, delay: float) -> float:
+        """The log likelihood with one delay fixed, less the largest one."""
         theta, fixed = self.best.theta.copy(), np.zeros(self.best.theta.size, bool)
-        plant = slice(log.layout.size)
-        theta[plant] += variance[plant] / variance[place] * (value - theta[place])
-        theta[place], fixed[place] = value, True
-        theta = log.with_visible_noise(theta, self.best.information)
-        top, _ = maximise(log, theta, fixed, self.window, _WORTH)
-        fall = top.value - self.best.value
-        if not self.spread.uncertain:
-            return fall
-        others = np.flatnonzero(np.diagonal(self.spread.covariance)[plant] > 0.0)
-        own = np.ix_(*2 * [others[others != place]])
-        sizes = [np.linalg.slogdet(F[own])[1] for F in (top.information, self.best.information)]
-        return fall - 0.5 * max(float(sizes[0] - sizes[1]), _SINGULAR)
+        theta[place], fixed[place] = delay, True
+        top, _ = maximise(self.log, theta, fixed, self.window, _WORTH)
+        return top.value - self.best.value
 
     def _profile_end(self, place: int, step: float) -> float:
-        """The end of an interval on one side, where the profile crosses its level, or a bound.
+        """The end of the interval on one side, where the profile crosses its level, or the bound.
 
-        If the crossing of a delay lies outside the window, everything is maximised again in one
-        twice as wide.
+        If the crossing lies outside the window, everything is maximised again in one twice as wide.
         """
         from scipy.optimize import brentq
 
-        at_delay = place in self.log.layout.delay_places
         reach, bounds = float(self.spread.reach[place]), self.log.bounds
-        precise = (1e-3 if at_delay else _PRECISE) * abs(step)
-        origin, fall, top = float(self.best.theta[place]), float(self.spread.fall[place]), self
+        D = float(self.best.theta[place])
+        fall, top = 0.5 * reach**2 * float(self.spread.inflation[place]), self
 
         def left(shift: float) -> float:
-            return max(top.profile(place, origin + shift), _DEEP) + fall
+            return top.profile(place, D + shift) + fall
 
         inner, outer = 0.0, reach * step
         while True:
-            low, high = top.window if at_delay else (-np.inf, np.inf)
-            end = min(max(origin + outer, low), high)
-            if left(end - origin) < 0.0:
+            low, high = top.window
+            end = min(max(D + outer, low), high)
+            if left(end - D) < 0.0:
                 if left(inner) < 0.0:  # in a wider window the top may lie elsewhere
-                    return origin + inner
-                root = brentq(left, inner, end - origin, xtol=precise)
-                return origin + float(root)  # pyright: ignore[reportArgumentType]
-            inner = end - origin
-            if end == origin + outer:
-                if abs(outer) > _FAR * abs(reach * step):
-                    return end
+                    return D + inner
+                root = brentq(left, inner, end - D, xtol=1e-3 * abs(step))
+                return D + float(root)  # pyright: ignore[reportArgumentType]
+            inner = end - D
+            if end == D + outer:
                 outer = 1.5 * outer
             elif end in bounds:
                 return end

@@ -44,7 +44,6 @@ from deadtime.identification.intervals import (
     inverse,
     plausible_fall,
     require_identified,
-    restricted_fall,
     spread_of,
 )
 from deadtime.identification.levels import (
@@ -68,7 +67,6 @@ _FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # rise of log likelihood that ends a climb
 _IDENTIFIED = 1.0  # information on a logarithm: noise uncertain by a factor above e stays fixed
-_UNCERTAIN = 10.0  # degrees of freedom of an interval below which its profile is taken
 _FEWEST = 3.0  # degrees of freedom: with 2 or less Student's distribution has no variance
 
 
@@ -126,31 +124,12 @@ def estimate_at(
     """The estimate at a maximum; `spare`: degrees of freedom of W, of measurements if None."""
     beyond = max(log.measured(log.starts(*window)) - log.free.size, 1)
     some = replace(log, recording=log.recording.stretches(_ENOUGH, log.recording.lag(window[1])))
-    short = log.recording.samples <= _FEW
-    raised = log.with_visible_noise(best.theta, best.information)
-    if short and not np.array_equal(raised, best.theta):
-        beside, _ = maximise(log, raised, window=window, gain=_GAIN)
-        best = max(best, beside, key=lambda one: one.value)
     spread, theta = _spread(log, some, best, window, float(beyond))
-    if short and _noise_is_uncertain(log, best, spread):
-        fall = np.full(log.size, restricted_fall(float(beyond)))
-        spread = spread._replace(fall=fall, uncertain=True)
     peak = Peak(log=log, best=best, window=window, spread=spread, start=start)
     own = np.full(log.layout.modes, beyond) if spare is None else spare
-    ends = peak.ends_over_peaks() if log.embedding is None else None
-    if ends is None and spread.uncertain:
-        ends = peak.profiled_ends()
-        at = theta[: log.layout.size, None]  # the noise is restricted there
-        ends = np.hstack((np.fmin(ends[:, :1], at), np.fmax(ends[:, 1:], at)))
-    of_outputs = None if log.embedding is None else log
-    return estimate_of_sensors(peak, theta, log, own, ends=ends, of_outputs=of_outputs)
-
-
-def _noise_is_uncertain(log: NoisyLog, best: Maximum, spread: Spread) -> bool:
-    """Whether intervals depend on a noise of the plant that the log hardly determines."""
-    (i, j), size = log.places, log.layout.size
-    seen = np.diagonal(best.information)[size + np.flatnonzero(i == j)]
-    return bool((seen < _IDENTIFIED).any() or (spread.spare[:size] < _UNCERTAIN).any())
+    if log.embedding is None:
+        return estimate_of_sensors(peak, theta, log, own, ends=peak.ends_over_peaks())
+    return estimate_of_sensors(peak, theta, log, own, of_outputs=log)
 
 
 def estimate_of_sensors(
@@ -208,7 +187,7 @@ def _spread(
     covariance[own] = of.covariance
     reach, inflation = np.full(len(F), of.reach.min()), np.ones(len(F))
     reach[known], inflation[known] = of.reach, of.inflation
-    return Spread(covariance, reach, inflation, less.spare, 0.5 * reach**2 * inflation), less.theta
+    return Spread(covariance, reach, inflation, less.spare), less.theta
 
 
 def noisy_residuals(

@@ -91,10 +91,6 @@ class Likelihood(Frozen, ABC):
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         """The places of unknowns that an information identifies."""
 
-    def with_visible_noise(self, vector: Vector, F: FisherMatrix) -> Vector:
-        """A start from which a climb finds noise, F the information at the maximum."""
-        return vector
-
     @abstractmethod
     def evaluate_in(self, low: float, high: float) -> EvaluateIn:
         """The likelihood for delays in a range, seconds; for even rows in cells of delays.

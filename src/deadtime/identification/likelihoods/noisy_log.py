@@ -153,7 +153,6 @@ class Embedding(Frozen):
 
 _VAGUE = 1e4  # prior variance of an unknown state, in variances of the log
 _UNIDENTIFIED = 1e-4  # information on the logarithm of a noise below which the noise may be 0
-_VISIBLE = 0.04  # information on the logarithm of a noise of a tenth of its standard error
 _STRIDE = 1.5  # largest step of the logarithm of a noise
 
 
@@ -211,18 +210,6 @@ class SensorLikelihood(Likelihood):
         # The information on the logarithm of a noise vanishes as the noise does.
         free, identified = self.free, self.unit(vector) ** 2 * np.diagonal(F) > _UNIDENTIFIED
         return free[(free < self.layout.size) | identified[free]]
-
-    def with_visible_noise(self, vector: Vector, F: FisherMatrix) -> Vector:
-        """The vector with noise of the plant that is not far below what the log would show.
-
-        The score in log ρ vanishes with W = ρ², and a climb that begins there stays. The
-        information on log ρ grows with ρ⁴.
-        """
-        raised, (i, j) = vector.copy(), self.places
-        at = self.layout.size + np.flatnonzero(i == j)
-        least = np.finfo(float).tiny
-        raised[at] += 0.25 * np.log(np.maximum(_VISIBLE / np.maximum(F[at, at], least), 1.0))
-        return raised
 
     def starts(self, low: float, high: float) -> Starts:
         """The samples at which the filter starts from the prior, for a range of delays."""
