@@ -6,8 +6,8 @@ import pytest
 
 import deadtime as dt
 from deadtime.cli.application import with_options
+from deadtime.identification.log.read_options import ReadOptions
 from deadtime.identification.log.read_recording import read_recording
-from deadtime.identification.log.read_tables import ReadOptions
 
 COUNT, H = 60, 0.5
 RNG = np.random.default_rng(5)

@@ -17,8 +17,8 @@ from deadtime.base.errors import ArgumentError, DeadtimeError
 from deadtime.base.text_tables import looks_numeric
 from deadtime.identification import Identification, identify
 from deadtime.identification.identification_figure import likelihood_figure, quick_figures
+from deadtime.identification.log.read_options import PLAIN
 from deadtime.identification.log.read_tables import (
-    PLAIN,
     LogTable,
     columns_of,
     table_of,

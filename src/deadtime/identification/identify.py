@@ -33,8 +33,8 @@ from deadtime.identification.log.logged_states import (
     resting,
     sensors_of,
 )
+from deadtime.identification.log.read_options import ReadOptions
 from deadtime.identification.log.read_recording import read_recording
-from deadtime.identification.log.read_tables import ReadOptions
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.log.unit_changes import require_same_units, require_seconds
 from deadtime.identification.noisy_estimate import (

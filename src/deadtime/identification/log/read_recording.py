@@ -14,10 +14,9 @@ import numpy as np
 from deadtime.base.checks import brief, read_only
 from deadtime.base.errors import ArgumentError
 from deadtime.base.wording import number_of
+from deadtime.identification.log.read_options import PLAIN, ReadOptions
 from deadtime.identification.log.read_tables import (
-    PLAIN,
     LogTable,
-    ReadOptions,
     TimedTable,
     absent_modes,
     chosen_columns,

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deadtime.base.checks import brief, positive
+from deadtime.base.checks import brief
 from deadtime.base.errors import ArgumentError
 from deadtime.base.row_clocks import TIMES, clock_of, require_rising
 from deadtime.base.text_tables import advice_on, numbers_in, read_text_table, with_points
+from deadtime.identification.log.read_options import PLAIN, ReadOptions
 from deadtime.identification.log.row_grid import snapped
 
 if TYPE_CHECKING:
@@ -26,41 +27,6 @@ _EVIDENCE = 7.0  # repeats expected by chance of which none is there: a chance o
 _OFTEN = 0.3  # share of empty cells in a log on change: few are lost readings
 _MOST_MODES = 20
 _MOSTLY = 0.5  # share of empty cells of an input that are no mere loss
-
-
-class ReadOptions(NamedTuple):
-    """How files are read: see `identify`."""
-
-    time: str | None = None
-    step: float | None = None
-    sep: str | None = None
-    decimal: str | None = None
-    on_change: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        time: str | None,
-        step: float | None,
-        sep: str | None,
-        decimal: str | None,
-        on_change: Sequence[str],
-    ) -> ReadOptions:
-        """Checked options; a column's name may have blanks around it."""
-        if isinstance(on_change, str):
-            raise ArgumentError(
-                f"on_change must be a list of columns, such as {[on_change]}, got a text."
-            )
-        return cls(
-            None if time is None else str(time).strip(),
-            None if step is None else positive("step, --step,", step),
-            sep,
-            decimal,
-            tuple(str(name).strip() for name in on_change),
-        )
-
-
-PLAIN = ReadOptions()
 
 
 class LogTable(NamedTuple):

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from deadtime.base.checks import read_only
 from deadtime.base.errors import ArgumentError
-from deadtime.identification.log.read_tables import PLAIN, ReadOptions
+from deadtime.identification.log.read_options import PLAIN, ReadOptions
 
 # Stretches of a long log that represent all of it.
 _STRETCHES = 10
