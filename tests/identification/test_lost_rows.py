@@ -122,7 +122,7 @@ def test_times_that_jitter_or_repeat_now_and_then_are_not_put_on_a_grid():
 def test_a_delay_from_rounded_times_lies_in_its_interval():
     true = np.arange(600) / 30.0
     log = table(ONE, true, seed=5).assign(t=true.round(2))
-    fit = dt.identify(log, modes=None, delay=(0.0, 1.0))
+    fit = dt.identify(log, modes=None, delay=(0.0, 1.0), hold="held")
     low, high = fit.interval("delay")
     assert low < 0.312 < high < low + 0.002
     assert "times rounded to 0.01 s put on an even grid of 0.0333333 s" in fit.message

@@ -85,6 +85,7 @@ def saved(C, noise, W):
         C=C,
         uncertain=SimpleNamespace(covariance=np.eye(2)),
         operating_point=None,
+        processes=(),
     )
     return problem_text(fit)
 

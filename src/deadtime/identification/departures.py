@@ -444,7 +444,7 @@ class Probe(NamedTuple):
 
     def _of_level(self, a: int) -> Iterator[Alternative]:
         # Signals are functions of the row, as several logs may have the same times.
-        rows = self.log.recording.samples
+        rows = self.log.recording.rows
         begins = ((np.arange(_STEPS) + 0.5) * rows / _STEPS).astype(int)
         steps = self._to_signals(a, (np.arange(rows) >= begins[:, None]) * 1.0)
         wave = np.pi * np.arange(1, _COSINES + 1)[:, None] * (np.arange(rows) + 0.5) / rows

@@ -151,7 +151,7 @@ class _Regressions:
     """
 
     def __init__(self, own: Predictor, window: Window) -> None:
-        self.own, self.window, self.good = own, window, np.ones(own.log.recording.samples, bool)
+        self.own, self.window, self.good = own, window, np.ones(own.log.recording.rows, bool)
         self.kept: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self.products: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         size = np.nanstd(np.vstack([part.output for part in own.parts]), axis=0)

@@ -337,7 +337,7 @@ class TransferMatrix(NamedTuple):
         by[:, output, input] = pole ** np.arange(N.size - 1, -1, -1)
         by_all = np.append(self._by_p(pole) * np.polyval(np.polyder(N), pole), by.ravel())
         variance = float((by_all @ self.V @ by_all.conj()).real)
-        return bool(abs(np.polyval(N, pole)) > self.q * np.sqrt(variance))
+        return bool(abs(np.polyval(N, pole)) > self.q * np.sqrt(max(variance, 0.0)))
 
     def process(
         self, output: int, input: int, names: tuple[str, str, str], dead_time: Quantity

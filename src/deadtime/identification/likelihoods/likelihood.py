@@ -318,7 +318,7 @@ class ExactInnovations(NamedTuple):
 
     def slopes(self, vector: Vector) -> Float[np.ndarray, "datum size"]:
         log, layout = self.log, self.log.layout
-        result = np.zeros((log.recording.samples, layout.n, layout.size))
+        result = np.zeros((log.recording.rows, layout.n, layout.size))
         maps = log.sampling.maps(layout, vector, log.cells(vector))
         for mode, rows, z in self._periods(vector, log.recording.parts):
             moved = np.tensordot(z[:, layout.n :], maps[mode].by_P, (1, 2))
@@ -335,7 +335,7 @@ class ExactInnovations(NamedTuple):
             log.layout, without_constants(log.layout, vector), log.cells(vector), slopes=False
         )
         whole = [np.linalg.solve(self.roots[i], one.P) for i, one in enumerate(maps)]
-        result = np.zeros((len(inputs[0]), log.recording.samples, n))
+        result = np.zeros((len(inputs[0]), log.recording.rows, n))
         for one, changed in enumerate(with_inputs(parts, inputs)):
             for mode, rows, z in self._periods(vector, changed):
                 result[one, rows] = z[:, n:] @ whole[mode].T

@@ -129,6 +129,11 @@ class Recording(NamedTuple):
         return sum(int(part.logged.sum()) for part in self.parts)
 
     @property
+    def rows(self) -> int:
+        """The number of rows, lost ones included."""
+        return sum(part.time.size for part in self.parts)
+
+    @property
     def by_log(self) -> list[tuple[Part, ...]]:
         """The parts of every log."""
         log = np.maximum(np.cumsum([not part.after_gap for part in self.parts]) - 1, 0)
@@ -182,11 +187,11 @@ class Recording(NamedTuple):
 
         Each has `lag` samples more: the inputs that act in its first ones lie before the stretch.
         """
-        if self.samples <= 2 * most:
+        if self.rows <= 2 * most:
             return self
-        parts, share = [], most / self.samples
+        parts, share = [], most / self.rows
         for part in self.parts:
-            count = max(1, round(_STRETCHES * part.time.size / self.samples))
+            count = max(1, round(_STRETCHES * part.time.size / self.rows))
             every = np.array_split(np.arange(part.time.size), count)
             parts += [part.rows(k[: max(2, int(np.ceil(share * k.size)) + lag)]) for k in every]
         return self._replace(parts=tuple(parts))
