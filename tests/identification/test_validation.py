@@ -139,11 +139,9 @@ def test_lost_rows_divide_the_free_run_and_each_begins_at_a_logged_state():
     validation = fit.compare(test)
     assert len(validation.courses) == 1
     longest = int(np.ceil(fit.plant.delay / H))
-    # Inputs before the gap act for longest − 1 rows: the first rows after it are predicted, too.
+    # The two rows after the gap are 4 + 2 < `longest` rows after inputs before it, which still act.
     assert validation.samples == 296 - 2 * (longest + 1) + longest - 1 - 4
-    assert (
-        "Each of 2 free runs, with lost rows between, starts from the logged" in validation.message
-    )
+    assert "Each of 3 free runs starts from the logged state" in validation.message
 
 
 def test_where_sensors_are_noisy_the_first_state_is_fitted_and_the_filter_predicts():
@@ -262,9 +260,7 @@ def test_an_unstable_plant_is_judged_by_predictions_of_some_delays_instead():
     validation = fit.compare(logged(plant, 1, **loop))
     assert not validation.judged
     assert not validation.worse_than_constant
-    assert (
-        "is not judged, for the plant is unstable by itself: the fit is" in validation.message
-    )
+    assert "is not judged, for the plant is unstable by itself: the fit is" in validation.message
     assert validation.several_steps[0] > 0.0
     assert validation.horizon == pytest.approx(0.8)
     assert not any("worse than a constant" in one for one in fit.doubts)

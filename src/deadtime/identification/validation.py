@@ -84,7 +84,7 @@ class Validation(Frozen):
     sentences : tuple of str
         The results in words.
     courses : tuple of Course
-        Times, measurements and predictions of every stretch between lost rows.
+        Times, measurements and predictions of every stretch between long gaps.
 
     Examples
     --------
