@@ -126,3 +126,24 @@ def test_a_delay_from_rounded_times_lies_in_its_interval():
     low, high = fit.interval("delay")
     assert low < 0.312 < high < low + 0.002
     assert "times rounded to 0.01 s put on an even grid of 0.0333333 s" in fit.message
+
+
+def test_lost_rows_are_counted_in_their_own_log_and_logs_keep_their_names():
+    whole = table(ONE, H * np.arange(300), seed=1)
+    gappy = whole.drop(index=[1, 2, 3, 50, 51])
+    fit = dt.identify([gappy, whole, whole], modes=None, delay=(0.0, 1.0), hold="held")
+    assert "log read as: 5 rows lost" in fit.message.replace("log[0]", "log")
+    assert "log[2] read as" not in fit.message
+    assert [len(parts) for parts in fit._recording.by_log] == [1, 1, 1]
+
+
+def test_a_grid_begins_at_the_first_time_of_the_log():
+    true = np.arange(300) / 30.0
+    log = table(ONE, true, seed=5).assign(t=(1234.5 + true).round(2))
+    fit = dt.identify(log, modes=None, delay=(0.0, 1.0), hold="held")
+    assert fit._recording.parts[0].time[0] == pytest.approx(1234.5)
+
+
+def test_a_lost_row_in_a_held_out_part_is_no_mode():
+    fit = dt.identify(EVEN.drop(index=350), delay=(0.0, 1.0), hold="held", test="half")
+    assert fit.validation.samples > 150

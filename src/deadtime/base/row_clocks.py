@@ -61,12 +61,12 @@ class RowClock(NamedTuple):
 
     seconds : from the first row; may repeat or go back, see `require_rising`
     first : the time of the first row on a clock that counts seconds, else 0
-    said : a phrase on the notation; empty for plain seconds
+    notation : a phrase on the notation; empty for plain seconds
     """
 
     seconds: Float[np.ndarray, " row"]
     first: float
-    said: str = ""
+    notation: str = ""
     unit: Decimal = Decimal(1)
     origin: Decimal = Decimal(0)
 
@@ -94,7 +94,7 @@ def clock_of(
     if _looks_like_a_stamp(cells[0]):
         return _stamped(cells, place, column)
     values = [_decimal(f"{place(row)}: {column}", cell) for row, cell in enumerate(cells)]
-    first, size, said = values[0], abs(values[0]), ""
+    first, size, notation = values[0], abs(values[0]), ""
     low, high = _THIS_AGE
     if unit is None and size >= _LATEST:
         fit = [one for one, power in UNITS.items() if power and low < first.scaleb(power) < high]
@@ -109,11 +109,11 @@ def clock_of(
     since_1970 = low < first.scaleb(power) < high
     if since_1970 or power:
         called = {"s": "s", "ms": "ms", "us": "µs", "ns": "ns"}[unit or "s"]
-        said = f"times in {called}"
-        said += f" since 1970, from {_date(first.scaleb(power))}" if since_1970 else ""
+        notation = f"times in {called}"
+        notation += f" since 1970, from {_date(first.scaleb(power))}" if since_1970 else ""
     seconds = np.array([float((value - first).scaleb(power)) for value in values])
-    own = float(first.scaleb(power)) if size < _LATEST and not said else 0.0
-    return RowClock(seconds, own, said, Decimal(1).scaleb(power), first)
+    own = float(first.scaleb(power)) if size < _LATEST and not notation else 0.0
+    return RowClock(seconds, own, notation, Decimal(1).scaleb(power), first)
 
 
 def require_rising(
@@ -207,8 +207,8 @@ def _stamped(cells: Sequence[str], place: Callable[[int], str], column: str) -> 
     seconds = np.array([float(value - values[0]) for value in values])
     time = "" if all(stamp.seconds == 0 for stamp in stamps) else " hh:mm:ss"
     zone = " UTC" if zoned[0] else ""
-    said = f"times {called}{time} from {_date(values[0])}{zone}" if called else _ONE_DAY
-    return RowClock(seconds, 0.0, said, origin=values[0])
+    notation = f"times {called}{time} from {_date(values[0])}{zone}" if called else _ONE_DAY
+    return RowClock(seconds, 0.0, notation, origin=values[0])
 
 
 def _chosen(
@@ -251,14 +251,14 @@ def _times_of_day(stamps: Sequence[_Stamp]) -> RowClock:
             value += _DAY
         values.append(value)
     seconds = np.array([float(value - values[0]) for value in values])
-    said = _ONE_DAY
+    notation = _ONE_DAY
     if midnights:
-        said = (
+        notation = (
             f"times hh:mm:ss, midnight passed {midnights} times"
             if midnights > 1
             else ("times hh:mm:ss, midnight passed once")
         )
-    return RowClock(seconds, 0.0, said, origin=values[0])
+    return RowClock(seconds, 0.0, notation, origin=values[0])
 
 
 def _stamp(cell: str, name: str) -> _Stamp:

@@ -121,20 +121,20 @@ def read_text_table(
     header, rows = below.numbers[0], below.rows[1:]
     names, last = _names(below.rows[0], rows)
     width, units = len(names), _units(rows[: 1 + _MOST_UNITS])
-    said = [*encoding]
+    phrases = [*encoding]
     if above := sorted(number for number in (*marked, *before) if number < header):
-        said.append(f"{_listed('line', above)} before the header left out")
+        phrases.append(f"{_listed('line', above)} before the header left out")
     if units:
-        said.append(f"{_listed('line', below.numbers[1 : 1 + units])} (units) left out")
+        phrases.append(f"{_listed('line', below.numbers[1 : 1 + units])} (units) left out")
     if last:
-        said.append("separators at the ends of lines ignored")
+        phrases.append("separators at the ends of lines ignored")
     numbers, rows = below.since(1 + units)
     if not all(map(any, rows)):  # spreadsheets end in rows of empty cells
         numbers = [k for k, row in zip(numbers, rows, strict=True) if any(row)]
         rows = [row for row in rows if any(row)]
     whole = len(rows) < 2 or len(rows[-1]) >= width or len(rows[-2]) < width
     if not (whole or text.endswith(("\n", "\r"))):
-        said.append(f"line {numbers[-1]}, cut short, left out")
+        phrases.append(f"line {numbers[-1]}, cut short, left out")
         numbers, rows = numbers[:-1], rows[:-1]
     for number, cells in zip(numbers, rows, strict=True):
         if len(cells) > width and any(cells[width:]):
@@ -150,7 +150,7 @@ def read_text_table(
     sign = _decimal_sign(columns) if decimal is None else decimal
     form = [] if sep == "," else [f"columns separated by {_SEPARATORS.get(sep, repr(sep))}"]
     form += ["decimal commas"] if sign == "," else []
-    phrases = [", ".join(form), *said] if form else said
+    phrases = [", ".join(form), *phrases] if form else phrases
     return table._replace(decimal=sign, read_as=tuple(phrases))
 
 
@@ -231,9 +231,9 @@ def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
     odd, even = start[1::2].count(0), start[::2].count(0)
     if marked or max(odd, even) > len(start) // 4:
         code = marked[0] if marked else "utf-16-le" if odd > even else "utf-16-be"
-        said = [] if code == "utf-8-sig" else [f"encoding {code[:6].upper()}"]
+        phrases = [] if code == "utf-8-sig" else [f"encoding {code[:6].upper()}"]
     else:
-        code, said = "utf-8", []
+        code, phrases = "utf-8", []
     try:
         text = content.decode(code)
     except UnicodeDecodeError:
@@ -241,10 +241,10 @@ def _decoded(name: str, content: bytes) -> tuple[str, list[str]]:
             called = code.removesuffix("-sig").upper()
             raise ArgumentError(f"{name} is not {called} text: save it as UTF-8.") from None
         text = content.decode("cp1252", errors="replace")
-        said = ["encoding Windows-1252, as it is not UTF-8"]
+        phrases = ["encoding Windows-1252, as it is not UTF-8"]
     if _CONTROL.search(text):
         raise ArgumentError(f"{name} is no text: save it as a CSV file in UTF-8.")
-    return text, said
+    return text, phrases
 
 
 def _cells(name: str, lines: _Lines, sep: str) -> _Lines:

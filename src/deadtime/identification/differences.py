@@ -273,7 +273,8 @@ def contradictions(
     number = np.bincount(log, [np.isfinite(one).sum() for one in estimate.white])
     mean = total / np.maximum(number, 1)
     inflation, found = inflation_of(list(estimate.white)), []
-    for name, parts, size in zip(recording.logs, each, mean, strict=True):
+    for parts, size in zip(each, mean, strict=True):
+        name = recording.logs[parts[0].log]
         own = recording._replace(parts=parts).stretches(_FEW, recording.lag(estimate.searched[1]))
         predictor = Predictor.of(estimate, C, own)
         difference = difference_of(predictor, inflation, len(each))

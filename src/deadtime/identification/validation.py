@@ -170,7 +170,7 @@ def log_to_compare(
             f"{test!r}."
         )
     first, last = recording.divided(float(share), before)
-    visited = [{int(i) for part in one.parts for i in part.mode} for one in (first, last)]
+    visited = [{int(i) for part in one.parts for i in part.mode if i >= 0} for one in (first, last)]
     if only := sorted(visited[1] - visited[0]):
         raise ArgumentError(
             f"test={test!r} holds out all rows of mode {recording.modes[only[0]]!r}: nothing would "
@@ -320,7 +320,7 @@ class _Predicted(NamedTuple):
     def _excuse(self) -> str:
         """Why a free run of a right model may diverge, however small its noise; "" if not."""
         modes = np.unique(np.concatenate([part.mode for part in self.predictor.parts]))
-        rate = np.linalg.eigvals(self.predictor.model.plant.A[modes]).real.max()
+        rate = np.linalg.eigvals(self.predictor.model.plant.A[modes[modes >= 0]]).real.max()
         growth = float(rate) * max(run.longest for run in self.runs)
         if growth > 1.0:
             return "the plant is unstable by itself"
@@ -410,6 +410,8 @@ def _larger_errors(predictor: Predictor, own: Predictor, inflation: float, name:
     floor = np.maximum(size**2, np.finfo(float).tiny)
     mean = [s / np.maximum(n, 1) for s, n in zip(squares, counts, strict=True)]
     ratio = mean[0] / np.maximum(mean[1], floor)
+    if own.exact:  # errors are scaled to the period of their own recording
+        ratio *= own.log.recording.step / predictor.log.recording.step
     free = [np.maximum(n / inflation, 1.0) for n in counts]
     chance = float((f.sf(ratio, *free) * ratio.size).min())
     if ratio.max() < _LARGER or chance > CHANCE:

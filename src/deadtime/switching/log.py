@@ -102,8 +102,8 @@ def read_log(
     if bad is not None:
         raise ArgumentError(f"{table.name}: initial_age must be a number, got {_short(age[0])}.")
     repeated = len(cells) - len(kept)
-    said = (*table.read_as, clock.said, f"{number_of(repeated, 'repeated row')} left out")
-    read_as = "; ".join(filter(None, said if repeated else said[:-1]))
+    phrases = (*table.read_as, clock.notation, f"{number_of(repeated, 'repeated row')} left out")
+    read_as = "; ".join(filter(None, phrases if repeated else phrases[:-1]))
     return SwitchingLog(
         times,
         np.array(visited),

@@ -80,13 +80,16 @@ def read_recording(
     tables = [one.table for one in filled]
     labels = labels_of(tables, column)
     read = [_part(one, names, acting, column, labels, options.on_change) for one in filled]
-    parts, acting, constants = moving_inputs(tuple(part for part, _ in read), acting)
+    parts = tuple(part._replace(log=i) for i, (part, _) in enumerate(read))
+    parts, acting, constants = moving_inputs(parts, acting)
     if check is not None:
         called = [table.name for table in tables]
         check(parts, (names, acting), called, lambda i, k: tables[i].place(k))
-    parts, lost = _with_lost_rows(parts, len(labels) > 1)
-    said = [table.read_as for _, table in read]
-    said[-1] += (f"{number_of(lost, 'row')} lost, of which nothing is known",) if lost else ()
+    parts = _with_lost_rows(parts, len(labels) > 1)
+    read_as = [table.read_as for _, table in read]
+    for i, phrases in enumerate(read_as):
+        if lost := sum(int((~part.logged).sum()) for part in parts if part.log == i):
+            read_as[i] = *phrases, f"{number_of(lost, 'row')} lost, of which nothing is known"
     # The name of a column "x1: position (m)" is the text after the colon.
     called, moved = (
         tuple(match[2] if (match := _NAMED.fullmatch(one)) else one for one in columns)
@@ -103,7 +106,7 @@ def read_recording(
         constants=constants,
         columns=LogColumns(column, names, acting, options),
         logs=tuple(f"{t.name}[0]" if t.name == "log" and tables[1:] else t.name for t in tables),
-        read_as=(*_read_as(tables, said), *_of_one_mode(filled[0], modes, column)),
+        read_as=(*_read_as(tables, read_as), *_of_one_mode(filled[0], modes, column)),
     )
 
 
@@ -122,12 +125,14 @@ def read_beside(logs: Any, recording: Recording, argument: str) -> Recording:
     tables = [one.table for one in filled]
     labels = labels_among(tables, column, recording.modes)
     read = [_part(one, names, acting, column, labels, options.on_change) for one in filled]
-    parts, _ = _with_lost_rows(tuple(part for part, _ in read), len(labels) > 1)
+    parts = tuple(part._replace(log=i) for i, (part, _) in enumerate(read))
+    parts = _with_lost_rows(parts, len(labels) > 1)
     moved = tuple(
         (name, value)
         for name, value in recording.constants
         for table in tables
-        if name in table.frame.columns and (numeric_column(table, name)[0] != value).any()
+        if name in table.frame.columns
+        and (np.abs(numeric_column(table, name)[0] - value) > 0.0).any()
     )
     step, even = _period(parts)
     return recording._replace(
@@ -159,11 +164,11 @@ def _require_rows(tables: list[LogTable]) -> None:
             )
 
 
-def _read_as(tables: list[LogTable], said: list[tuple[str, ...]]) -> list[str]:
+def _read_as(tables: list[LogTable], phrases: list[tuple[str, ...]]) -> list[str]:
     """A sentence on how each log was read, if not as a plain CSV file; one for logs alike."""
-    if len(set(said)) == 1:
-        return [f"Read as: {'; '.join(said[0])}."] if said[0] else []
-    each = zip(tables, said, strict=True)
+    if len(set(phrases)) == 1:
+        return [f"Read as: {'; '.join(phrases[0])}."] if phrases[0] else []
+    each = zip(tables, phrases, strict=True)
     return [f"{table.name} read as: {'; '.join(one)}." for table, one in each if one]
 
 
@@ -199,7 +204,7 @@ def _with_held_modes(one: TimedTable, column: str | None, option: Sequence[str])
         return one
     raw = one.table.frame[column]
     frame = one.table.frame.assign(**{column: raw.mask(empty).ffill()})
-    return one._replace(table=one.table._replace(frame=frame).said(_of_change(column)))
+    return one._replace(table=one.table._replace(frame=frame).with_phrases(_of_change(column)))
 
 
 def _of_change(column: str) -> str:
@@ -218,10 +223,10 @@ def _part(
     table, columns = one.table, []
     for name in (*names, *inputs):
         values, phrase = numeric_column(table, name)
-        table = table.said(phrase)
+        table = table.with_phrases(phrase)
         if name in inputs and (empty := held(table, name, option)) is not None:
             last = np.maximum.accumulate(np.where(empty, 0, np.arange(values.size)))
-            values, table = values[last], table.said(_of_change(name))
+            values, table = values[last], table.with_phrases(_of_change(name))
         columns.append(values)
     output = np.column_stack(columns[: len(names)])
     u = np.column_stack(columns[len(names) :])
@@ -245,16 +250,14 @@ def _period(parts: tuple[Part, ...]) -> tuple[float, bool]:
     return step, off <= 2.0 * _ROUNDED * step and drift <= 10.0 * _ROUNDED * step
 
 
-def _with_lost_rows(parts: tuple[Part, ...], several: bool) -> tuple[tuple[Part, ...], int]:
-    """Logs with rows of NaN for lost ones, if they are even else; and the number of these."""
+def _with_lost_rows(parts: tuple[Part, ...], several: bool) -> tuple[Part, ...]:
+    """Logs with rows of NaN for lost ones, if they are even else."""
     step, even = _period(parts)
     if even:
-        return parts, 0
-    pieces = [piece for part in parts for piece in split_at_gaps(part, step)]
-    if len(pieces) == len(parts) or not pieces or not _period(tuple(pieces))[1]:
-        return parts, 0
-    step = _period(tuple(pieces))[0]
+        return parts
+    pieces = tuple(piece for part in parts for piece in split_at_gaps(part, step))
+    if not pieces or not _period(pieces)[1]:
+        return parts
+    step = _period(pieces)[0]
     filled = tuple(one for part in parts for one in with_lost_rows(part, step, several))
-    if not filled or not _period(filled)[1]:
-        return tuple(pieces), 0
-    return filled, sum(int((~part.logged).sum()) for part in filled)
+    return filled if filled and _period(filled)[1] else pieces

@@ -45,7 +45,7 @@ class LogTable(NamedTuple):
     def place(self, index: int) -> str:
         return f"{self.name}, {self.row} {self.numbers[index]}"
 
-    def said(self, *phrases: str) -> LogTable:
+    def with_phrases(self, *phrases: str) -> LogTable:
         return self._replace(read_as=(*self.read_as, *filter(None, phrases)))
 
     def rows(self, kept: Sequence[int]) -> LogTable:
@@ -98,9 +98,11 @@ def timed(table: LogTable, options: ReadOptions) -> TimedTable:
     if options.step is not None:
         given = options.time or next((c for c in TIMES if c in table.frame.columns), None)
         phrase = f"rows every {options.step:g} s" + (f", not as {given} says" if given else "")
-        return TimedTable(table.said(phrase), None, options.step * np.arange(len(table.frame)))
+        return TimedTable(
+            table.with_phrases(phrase), None, options.step * np.arange(len(table.frame))
+        )
     column = clock_column(table, options.time)
-    seconds, first, said = _clock(table, column)
+    seconds, first, notation = _clock(table, column)
     grid = snapped(seconds)
     if grid is None:
         cells = table.frame[column].to_list()
@@ -112,12 +114,14 @@ def timed(table: LogTable, options: ReadOptions) -> TimedTable:
         if len(kept) < len(seconds):
             lost = len(seconds) - len(kept)
             table, seconds = table.rows(kept), seconds[kept]
-            table = table.said(f"{lost} repeated row{'s' * (lost > 1)} left out")
+            table = table.with_phrases(f"{lost} repeated row{'s' * (lost > 1)} left out")
             grid = snapped(seconds)
     if grid is None:
-        return TimedTable(table.said(said), column, seconds + first)
+        return TimedTable(table.with_phrases(notation), column, seconds + first)
     phrase = f"times rounded to {grid.resolution:g} s put on an even grid of {grid.step:.6g} s"
-    return TimedTable(table.said(said, phrase), column, grid.seconds + first)
+    return TimedTable(
+        table.with_phrases(notation, phrase), column, grid.seconds + (seconds[0] + first)
+    )
 
 
 def clock_column(table: LogTable, time: str | None) -> str:
@@ -156,7 +160,7 @@ def _clock(table: LogTable, column: str) -> tuple[Float[np.ndarray, " row"], flo
     if bad is None and np.isfinite(seconds).all() and np.abs(seconds[:1]).max(initial=0.0) < 1e8:
         return seconds, 0.0, ""
     clock = clock_of(with_points(cells, table.decimal), table.place, column)
-    return clock.seconds, clock.first, clock.said
+    return clock.seconds, clock.first, clock.notation
 
 
 def texts_of(table: LogTable, column: str) -> list[str]:
@@ -273,8 +277,8 @@ def numeric_column(table: LogTable, column: str) -> tuple[Float[np.ndarray, " ro
             f"{advice_on(str(got))}"
         )
     each = (f"{count} cell{'s' * (count > 1)} {text!r}" for text, count in missing.items())
-    said = " and ".join(each)
-    return result, f"{said} in {column} taken as missing" if said else ""
+    listed = " and ".join(each)
+    return result, f"{listed} in {column} taken as missing" if listed else ""
 
 
 def held(table: LogTable, column: str, option: Sequence[str]) -> Bool[np.ndarray, " row"] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ class Part(NamedTuple):
 
     rests : whether inputs before the first row equal those of the first row
     after_gap : whether lost rows precede the first row
+    log : the number of the log
     """
 
     time: Float[np.ndarray, " sample"]
@@ -30,6 +31,7 @@ class Part(NamedTuple):
     mode: Int[np.ndarray, " sample"]
     rests: bool = False
     after_gap: bool = False
+    log: int = 0
 
     @property
     def logged(self) -> Bool[np.ndarray, " sample"]:
@@ -40,7 +42,7 @@ class Part(NamedTuple):
         """Some consecutive rows; inputs before them are unknown unless the first row is kept."""
         first = self.time[own][:1] == self.time[:1]
         columns = (column[own] for column in self[:4])
-        return Part(*columns, rests=self.rests and bool(first.all()))
+        return Part(*columns, rests=self.rests and bool(first.all()), log=self.log)
 
     def held_out(self, first: int, before: float) -> Part:
         """The rows from `first` on, and with empty outputs those of the seconds before."""
@@ -59,7 +61,8 @@ class Part(NamedTuple):
             np.column_stack([np.interp(time, self.time, one) for one in columns.T])
             for columns in (self.output, self.input)
         )
-        return Part(time, y, u if hold else self.input[before], self.mode[before], self.rests)
+        own = y, u if hold else self.input[before], self.mode[before]
+        return Part(time, *own, self.rests, log=self.log)
 
 
 class Level(NamedTuple):
@@ -136,9 +139,7 @@ class Recording(NamedTuple):
     @property
     def by_log(self) -> list[tuple[Part, ...]]:
         """The parts of every log."""
-        log = np.maximum(np.cumsum([not part.after_gap for part in self.parts]) - 1, 0)
-        every = zip(log, self.parts, strict=True)
-        return [tuple(part for _, part in own) for _, own in groupby(every, itemgetter(0))]
+        return [tuple(own) for _, own in groupby(self.parts, attrgetter("log"))]
 
     def divided(self, share: float, before: float) -> tuple[Recording, Recording]:
         """The logs without, and with only, the last share of the rows of each.
