@@ -14,13 +14,14 @@ The logs are not part of this repository. FOLDER holds, under these names:
   while its motor runs.
 
 Fit: 100 (1 − ‖y − ŷ‖/‖y − mean(y)‖) over the second half, simulated from inputs alone; of the ball,
-which rolls away by itself, over 10 samples ahead of every row. ARX has a constant,
-orders up to 6 and an input delay, chosen by Akaike's criterion on the first half; FOPDT is fitted
-by `scipy.optimize.least_squares` from several starts. `dt.identify` takes the order, 1 to 3, with
-the least BIC on the first half.
+which rolls away by itself, over as many rows ahead as `Validation.horizon` has, for all three. ARX
+has a constant, orders up to 6 and an input delay, chosen by Akaike's criterion on the first half;
+FOPDT is fitted by `scipy.optimize.least_squares` from several starts. `dt.identify` takes the
+order, 1 or 2, with the least BIC on the first half.
 """
 
 import argparse
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,17 +30,24 @@ import pandas as pd
 from scipy.io import loadmat
 from scipy.optimize import least_squares
 
-MOST_ORDER, ORDERS = 6, (1, 2, 3)
+import deadtime as dt
+
+MOST_ORDER, ORDERS = 6, (1, 2)
 
 
 class Log(NamedTuple):
-    """Rows at an even step; `longest` delay searched, seconds; samples ahead, None: free run."""
+    """Rows at an even step, the longest delay searched, and whether a free run is meaningful."""
 
     step: float
     u: np.ndarray
     y: np.ndarray
     longest: float
-    ahead: int | None = None
+    free: bool = True
+
+    def table(self, rows):
+        u = np.atleast_2d(self.u.T)[:, rows]
+        columns = {"t": self.step * np.arange(self.y.size)[rows], "y1": self.y[rows]}
+        return pd.DataFrame(columns | {f"u{j + 1}": one for j, one in enumerate(u)})
 
 
 def heating(folder):
@@ -59,7 +67,7 @@ def dryer(folder):
 
 def ball(folder):
     columns = loadmat(folder / "ballbeam.mat")["ballbeam"]
-    return Log(0.1, columns[:, 0], columns[:, 1], 1.0, ahead=10)
+    return Log(0.1, columns[:, 0], columns[:, 1], 1.0, free=False)
 
 
 def kit(folder):
@@ -176,30 +184,56 @@ class FOPDT:
         return self._run(log, u, self.p, start, stop, log.y[start])
 
 
-def peer_fit(model, log, half):
-    if log.ahead is None:
+def peer_fit(model, log, half, ahead):
+    if log.free:
         return fit_percent(log.y[half:], model.simulated(log, half, log.y.size))
-    rows = np.arange(half, log.y.size - log.ahead)
-    far = [model.simulated(log, k, k + log.ahead + 1)[-1] for k in rows]
-    return fit_percent(log.y[rows + log.ahead], np.array(far))
+    rows = np.arange(half, log.y.size - ahead)
+    far = [model.simulated(log, k, k + ahead + 1)[-1] for k in rows]
+    return fit_percent(log.y[rows + ahead], np.array(far))
+
+
+def identified(log, half):
+    """The order with the least BIC, the plant, and its validation."""
+    first, last = log.table(slice(0, half)), log.table(slice(half, None))
+    fits = {}
+    for order in ORDERS:
+        try:
+            fits[order] = dt.identify(first, modes=None, delay=(0.0, log.longest), order=order)
+        except dt.ArgumentError as error:
+            print(f"<!-- order {order}: {error} -->")
+
+    def criterion(order):
+        return len(fits[order].names) * np.log(half) - 2.0 * fits[order].log_likelihood
+
+    order = min(fits, key=criterion)
+    return order, fits[order], fits[order].compare(last)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--log", nargs="+", choices=LOGS, default=LOGS)
+    parser.add_argument("--messages", action="store_true", help="print what identify says")
     given = parser.parse_args()
     print("| log | rows | identify: order, fit % | ARX: order, fit % | FOPDT: fit % |", end="")
     print(" delays, s | s |\n|---|---|---|---|---|---|---|")
     for name in given.log:
         log = LOGS[name](given.folder)
-        half = log.y.size // 2
+        half, began = log.y.size // 2, time.perf_counter()
+        order, fit, validation = identified(log, half)
+        seconds = time.perf_counter() - began
         arx, fopdt = ARX(log, half), FOPDT(log, half)
+        ahead = round(validation.horizon / log.step)
+        own = validation.free_run if log.free else validation.several_steps
+        fits = (f"{peer_fit(one, log, half, ahead):.1f}" for one in (arx, fopdt))
+        ends = ", ".join(f"{a:.3g} … {b:.3g}" for a, b in fit.delay_interval[0])
         print(
-            f"| {name} | {log.y.size} | ours | {arx.order}, {peer_fit(arx, log, half):.1f} | "
-            f"{peer_fit(fopdt, log, half):.1f} | {arx.delay:.3g}, {fopdt.delay:.3g} | |",
+            f"| {name} | {log.y.size} | {order}, {own[0]:.1f} | {arx.order}, {next(fits)} | "
+            f"{next(fits)} | {ends}; {arx.delay:.3g}; {fopdt.delay:.3g} | {seconds:.1f} |",
             flush=True,
         )
+        if given.messages:
+            print(fit.message, validation.message, sep="\n", flush=True)
 
 
 if __name__ == "__main__":

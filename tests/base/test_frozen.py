@@ -49,7 +49,7 @@ def identified():
     for k in range(1, 59):
         x[k + 1] = 0.9 * x[k] + 0.05 * (u[k] + u[k - 1]) + 0.02 * rng.standard_normal()
     log = pd.DataFrame({"t": H * np.arange(60), "x": x + 0.02 * rng.standard_normal(60), "u": u})
-    return dt.identify(log, modes=None, delay=(0.0, 0.3), noise=True)
+    return dt.identify(log, modes=None, delay=(0.0, 0.3), noise=True, test=0.3)
 
 
 def modes_identified():
@@ -100,6 +100,7 @@ OBJECTS = {
     ),
     "Prediction": predicted,
     "Identification": identified,
+    "Validation": lambda: identified().validation,
     "Identification of modes": modes_identified,
     "Experiment": lambda: dt.design_experiment(
         dt.SwitchedSystem([[[-1.0]]], [[[1.0]]], 0.07), 3.0, H, 1.0, disturbance=1.0, effort=0

@@ -261,11 +261,11 @@ def identify(
         fit = from_recording(resting(recording, False))
     if compared is not None:
         progress(f"predicting the {compared.name}")
-    fit = fit.validated(compared)
-    if model is None:
-        return fit
-    first = process_sentences(fit.processes, fit._recording, len(fit.C))
-    return replace(fit, sentences=tuple(dict.fromkeys((*first, *fit.sentences))))
+    fit, first = fit.validated(compared), []
+    if model is not None:
+        first = process_sentences(fit.processes, fit._recording, len(fit.C))
+    every = (*first, *fit.sentences, *recording.read_as)
+    return replace(fit, sentences=tuple(dict.fromkeys(every)))
 
 
 def require_switches(switches: object) -> None:

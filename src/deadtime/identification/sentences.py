@@ -70,7 +70,6 @@ def sentences_of(
     if recording.logged and not estimate.log.within:
         sentences.append("The mode is taken to change at samples only.")
     sentences += [why] if why else []
-    sentences += recording.read_as
     doubts = [departure.doubt for departure in named]
     doubts += _doubts(estimate, recording)
     if outliers:
