@@ -328,6 +328,27 @@ def test_a_step_in_noise_tells_only_the_sum_of_a_lag_and_a_delay():
     assert "the log tells their sum, and not each alone" in text
 
 
+def test_an_input_that_moves_between_logs_alone_is_not_tested_for_a_limited_rate():
+    logs = [log_of(12 + i, rows=300).assign(u2=float(i)) for i in range(2)]
+    for noise in (False, True):
+        estimate = dt.identify(logs, None, (0.0, 1.0), noise=noise)._estimate
+        assert departures_of(estimate).found == ()
+        tested = [one.name for one in Probe.of(estimate).alternatives()]
+        assert tested.count("rate limit") == 1
+        assert tested.count("actuator lag") == 2
+
+
+def test_a_mode_that_no_stretch_of_a_long_log_visits_has_the_noise_of_all_rows():
+    log = log_of(14, rows=8600).assign(mode=0)
+    log.loc[600:680, "mode"] = 1  # the first stretch ends before it, and the second begins later
+    estimate = dt.identify(log, delay=(0.0, 1.0), noise=False)._estimate
+    probe = Probe.of(estimate)
+    assert all((part.mode == 0).all() for part in probe.parts)
+    whole = probe.whole.innovations_at(probe.vector, probe.window)
+    assert probe.innovations.roots == pytest.approx(whole.roots)
+    assert departures_of(estimate).found == ()
+
+
 def test_measurements_without_noise_are_not_tested():
     log = log_of(11, rows=300)
     quiet = log.copy()

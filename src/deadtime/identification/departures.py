@@ -35,7 +35,7 @@ from deadtime.identification.actuators import (
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.innovations import Innovations
 from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
-from deadtime.identification.log.recording import Part
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.residuals import CHANCE
 from deadtime.identification.score_tests import (
@@ -119,7 +119,9 @@ _DOUBT = {
 class WithInnovations(Protocol):
     """A likelihood whose innovations are known."""
 
-    def innovations_at(self, vector: Vector, window: Window) -> Innovations: ...
+    def innovations_at(
+        self, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> Innovations: ...
 
 
 class Departures(NamedTuple):
@@ -201,9 +203,11 @@ def _departure(found: Alternative, score: Score, others: tuple[str, ...]) -> Dep
 class Probe(NamedTuple):
     """An estimate's innovations at its maximum, and the alternatives to its model.
 
+    whole : the likelihood of the log; log : that of the rows that are tested
     white : (rows, p), the innovations; slopes : (data, size)
     """
 
+    whole: Likelihood
     log: Likelihood
     vector: Vector
     window: Window
@@ -213,13 +217,13 @@ class Probe(NamedTuple):
 
     @classmethod
     def of(cls, estimate: Estimate) -> Probe:
-        log, vector = estimate.log, estimate.best.theta
-        some = log.recording.stretches(_ROWS, log.recording.lag(estimate.window[1]))
-        log = replace(log, recording=some)
-        innovations = cast(WithInnovations, log).innovations_at(vector, estimate.window)
+        whole, vector = estimate.log, estimate.best.theta
+        some = whole.recording.stretches(_ROWS, whole.recording.lag(estimate.window[1]))
+        log = replace(whole, recording=some)
+        innovations = cast(WithInnovations, whole).innovations_at(vector, estimate.window, some)
         white = np.clip(innovations.residuals(vector), -_FAR, _FAR)
         slopes = innovations.slopes(vector)
-        return cls(log, vector, estimate.window, innovations, white, slopes)
+        return cls(whole, log, vector, estimate.window, innovations, white, slopes)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -254,6 +258,8 @@ class Probe(NamedTuple):
         )
         u = np.concatenate([part.input[:, j] for part in self.parts])
         u = u[np.isfinite(u)]
+        if not u.size:  # of stretches in lost rows
+            return
         low, high = np.quantile(u, _CLIPPED), np.quantile(u, 1.0 - np.array(_CLIPPED))
         nothing = np.full(len(low), np.inf)
         ends = np.hstack([(low, high), (-nothing, high), (low, nothing)]).T
@@ -280,16 +286,17 @@ class Probe(NamedTuple):
             ),
         )
         rates = largest / (h * _RAMPS)
-        yield self._of_map(
-            "rate limit",
-            j,
-            [lambda u, t, r=r: rate_limited(u, t, r) for r in rates if r > 0.0],
-            lambda k: (
-                f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
-                "limited, and the delay includes part of the ramps.",
-                f"Log what the actuator delivers as {name}, or test with smaller steps.",
-            ),
-        )
+        if largest > 0.0:  # an input may differ between logs alone
+            yield self._of_map(
+                "rate limit",
+                j,
+                [lambda u, t, r=r: rate_limited(u, t, r) for r in rates],
+                lambda k: (
+                    f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
+                    "limited, and the delay includes part of the ramps.",
+                    f"Log what the actuator delivers as {name}, or test with smaller steps.",
+                ),
+            )
         slack = np.ptp(u) * np.array(_SLACK)
         yield self._of_map(
             "backlash",
@@ -394,7 +401,8 @@ class Probe(NamedTuple):
         A, B, delays = layout.split(self.vector[: layout.size])
         vector = np.concatenate((own.join(A, B, delays), self.vector[layout.size :]))
         log = replace(self.log, layout=own)
-        slopes = cast(WithInnovations, log).innovations_at(vector, self.window).slopes(vector)
+        whole = cast(WithInnovations, replace(self.whole, layout=own))
+        slopes = whole.innovations_at(vector, self.window, self.log.recording).slopes(vector)
 
         def say(j: int) -> tuple[str, str]:
             best, _ = maximise(log, vector, gain=1e-4)

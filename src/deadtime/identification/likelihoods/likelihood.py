@@ -288,9 +288,14 @@ class ExactLog(PlantLikelihood):
 
         return within
 
-    def innovations_at(self, vector: Vector, window: Window) -> ExactInnovations:
-        """Errors of a period, for score tests; `window`: of the delays, seconds."""
-        return ExactInnovations.at(self, vector, window)
+    def innovations_at(
+        self, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> ExactInnovations:
+        """Errors of a period, for score tests, of all rows or those `tested`, with all rows' noise.
+
+        window : of the delays, seconds
+        """
+        return ExactInnovations.at(self, vector, window, tested)
 
 
 class ExactInnovations(NamedTuple):
@@ -304,14 +309,17 @@ class ExactInnovations(NamedTuple):
     roots: Squares
 
     @classmethod
-    def at(cls, log: ExactLog, vector: Vector, window: Window) -> ExactInnovations:
-        parts = log.recording.parts
-        k = tuple(log.sampling.usable(part, log.within, *window) for part in parts)
+    def at(
+        cls, log: ExactLog, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> ExactInnovations:
         terms = log.terms_in(*window)(log.cells(vector))(vector)
         counts = np.array([term.periods for term in terms])
         spare = np.maximum(counts - log.layout.n - log.layout.acting - 1, 1)
         S = concentrated(terms, log.layout.size)[1] * (counts / spare)[:, None, None]
-        return cls(log, k, np.linalg.cholesky(S))
+        own = log if tested is None else replace(log, recording=tested)
+        parts = own.recording.parts
+        k = tuple(own.sampling.usable(part, own.within, *window) for part in parts)
+        return cls(own, k, np.linalg.cholesky(S))
 
     def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
         return self._errors(vector, self.log.recording.parts)
