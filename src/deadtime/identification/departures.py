@@ -35,6 +35,7 @@ from deadtime.identification.actuators import (
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.innovations import Innovations
 from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
+from deadtime.identification.log.read_tables import quoted
 from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.residuals import CHANCE
@@ -244,6 +245,7 @@ class Probe(NamedTuple):
 
     def _of_input(self, j: int) -> Iterator[Alternative]:
         name, h = self.log.recording.inputs[j], self.log.recording.step
+        linear = self.log.recording.hold == 1
         lags = self._lags(j)
         smeared = self.lagged(j, lags)
         steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
@@ -290,7 +292,7 @@ class Probe(NamedTuple):
             yield self._of_map(
                 "rate limit",
                 j,
-                [lambda u, t, r=r: rate_limited(u, t, r) for r in rates],
+                [lambda u, t, r=r: rate_limited(u, t, r, linear) for r in rates],
                 lambda k: (
                     f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
                     "limited, and the delay includes part of the ramps.",
@@ -389,10 +391,10 @@ class Probe(NamedTuple):
         )
         if error > 0.5 * lag:
             sentence += " The log tells their sum, but hardly each alone."
-        first = recording.outputs[0]
+        first = recording.columns.outputs[0]
         return sentence, (
             "Log what the actuator delivers as one more state, or identify from outputs alone with "
-            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {first} --order "
+            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {quoted(first)} --order "
             f"{n + 1}); a law for the effective delay must tolerate the lag."
         )
 
@@ -439,11 +441,10 @@ class Probe(NamedTuple):
                 for a in range(p)
             ]
             worst = int(np.argmax(np.abs(r)))
-            name = self.log.recording.outputs[worst] if p > 1 else "What is left"
-            name = f"What is left of {name}" if p > 1 else name
+            of = f" of {self.log.recording.outputs[worst]}" if p > 1 else ""
             return (
-                f"{name} depends on itself one row before ({r[worst]:+.2f}) and on no input: noise "
-                "is coloured, or a state is missing. Intervals are too narrow then.",
+                f"Residuals{of} depend on those one row before ({r[worst]:+.2f}) and on no input: "
+                "noise is coloured, or a state is missing. Intervals are too narrow then.",
                 "Say noise=True, --noise, if sensors were taken as exact; log what disturbs the "
                 "plant as an input, or raise the order by the disturbance's states.",
             )

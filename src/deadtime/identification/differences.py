@@ -245,7 +245,8 @@ class _Regressions:
             e, by = (one[self.good] for one in self.rows(shift))
             z = np.linalg.solve(self.root, e.T).T.reshape(-1, 1)
             X = np.linalg.solve(self.root, by).reshape(z.size, -1)
-            unit = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+            unit = np.linalg.norm(X, axis=0)
+            unit[unit == 0.0] = 1.0  # where squares underflow, too
             both = np.hstack((z, X / unit))
             inside = self.by_plant.T @ both
             self.products[shift] = both.T @ both - inside.T @ inside, unit
