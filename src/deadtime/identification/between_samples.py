@@ -249,7 +249,11 @@ def _with_result(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
             f"off. The delay may be off by half a period, {0.5 * h:.3g} s."
         )
     doubt = "the input does not seem to be held between samples"
-    return log._replace(sentences=(*log.sentences, sentence), doubts=(*log.doubts, doubt))
+    return log._replace(
+        sentences=(*log.sentences, sentence),
+        doubts=(*log.doubts, doubt),
+        linear=bool(linear) and test.fits,
+    )
 
 
 def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> IdentifiedLog:

@@ -102,6 +102,11 @@ class Departure(NamedTuple):
         """Why intervals may not contain the delays, as the end of a sentence."""
         return f"the log departs from the model by {_DOUBT[self.name]}"
 
+    @property
+    def like_a_lag(self) -> bool:
+        """Whether a lag of an actuator explains it, or nearly as much."""
+        return "actuator lag" in {self.name, *self.others}
+
 
 _DOUBT = {
     "actuator lag": "a lag of the actuator, which the delay includes",
@@ -144,13 +149,19 @@ class Alternative(NamedTuple):
     weight: float = 1.0
 
 
-def departures_of(estimate: Estimate) -> Departures:
-    """The departures of a log with logged modes, from its estimate."""
+def departures_of(estimate: Estimate, linear: bool = False) -> Departures:
+    """The departures of a log with logged modes, from its estimate.
+
+    linear : whether inputs taken as held change linearly between samples, as the log shows: then
+        lags are not reported, for a linear input resembles one of h/√12
+    """
     if estimate.missed.any() or estimate.outside or _is_exact(estimate):
         return Departures()
     probe = Probe.of(estimate)
     fit = Regression.of(probe.innovations.stacked(probe.white), probe.slopes)
     found = _found(fit, probe)
+    if linear:
+        return Departures(tuple(one for one in found if not one.like_a_lag))
     return Departures(found, () if found else tuple(probe.lags_left_open(fit, estimate)))
 
 
