@@ -111,8 +111,8 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
         sentence = "Inputs are taken to change linearly between samples."
         if (log.estimate.delays < log.recording.step * (1.0 - EDGE)).any():
             sentence = (
-                f"{sentence} With a delay below a row they act before their row, so they are taken not "
-                "to follow its measurement."
+                f"{sentence} With a delay below a row they act before their row, so they are taken "
+                "not to follow its measurement."
             )
         return log._replace(sentences=(*log.sentences, sentence))
     estimate, recording = log.estimate, log.recording

@@ -405,8 +405,8 @@ class Probe(NamedTuple):
         first = recording.columns.outputs[0]
         return sentence, (
             "Log what the actuator delivers as one more state, or identify from outputs alone with "
-            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {quoted(first)} --order "
-            f"{n + 1}); a law for the effective delay must tolerate the lag."
+            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {quoted(first)} "
+            f"--order {n + 1}); a law for the effective delay must tolerate the lag."
         )
 
     def _delays_per_mode(self) -> Iterator[Alternative]:

@@ -27,9 +27,8 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Window
 from deadtime.identification.predictor import Predictor
-from deadtime.identification.residuals import autocorrelation
+from deadtime.identification.residuals import CHANCE, autocorrelation
 
-CHANCE = 1e-3  # significance level of a difference, and of larger errors
 _FEW = 4_000  # rows of a log that are compared
 _GRID = 17  # delays over the range searched
 _NEAR = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0])  # periods from the delay, which are tried, too

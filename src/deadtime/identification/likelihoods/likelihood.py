@@ -99,15 +99,8 @@ class Likelihood(Frozen, ABC):
         """
 
     @abstractmethod
-    def along(self, recording: Recording) -> Likelihood:
+    def along(self, recording: Recording) -> OfKnownModes:
         """The likelihood with known modes, those of a recording."""
-
-    @abstractmethod
-    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """Errors of one-step predictions with known modes, and the variances known of them.
-
-        Two arrays (samples, p), NaN where a period is not usable for delays in a window.
-        """
 
     @cached_property
     def sampling(self) -> Sampling:
@@ -116,6 +109,17 @@ class Likelihood(Frozen, ABC):
 
     def cells(self, theta: Vector) -> Cells:
         return cells_of(theta[self.layout.at_delays], self.recording.step)
+
+
+class OfKnownModes(Likelihood):
+    """A likelihood with known modes."""
+
+    @abstractmethod
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of one-step predictions, and the variances known of them.
+
+        Two arrays (samples, p), NaN where a period is not usable for delays in a window.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,23 +135,6 @@ class PlantLikelihood(Likelihood):
 
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         return np.arange(self.layout.size)
-
-    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        layout, cells, sampling = self.layout, self.cells(vector), self.sampling
-        reads, every = sampling.reads(layout, vector, cells), []
-        maps = sampling.maps(layout, vector, cells, slopes=False)
-        for part in self.recording.parts:
-            e = np.full((part.time.size, layout.n), np.nan)
-            usable = sampling.usable(part, self.within, *window)
-            for i, own in enumerate(maps):
-                k = usable[part.mode[usable] == i]
-                if not k.size:
-                    continue
-                z = sampling.rows(part, k, reads[i], layout.constant)
-                e[k + 1] = z[:, : layout.n] - z[:, layout.n :] @ own.P.T
-            every.append(e)
-        e = np.vstack(every)
-        return e, np.ones(e.shape)
 
 
 def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH) -> Window:
@@ -258,7 +245,7 @@ def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"
 
 
 @dataclass(frozen=True, eq=False)
-class ExactLog(PlantLikelihood):
+class ExactLog(PlantLikelihood, OfKnownModes):
     """The likelihood of a recording whose states are measured without noise: regressions.
 
     usable : the periods of every part; by default those usable in a window
@@ -270,6 +257,23 @@ class ExactLog(PlantLikelihood):
 
     def along(self, recording: Recording) -> ExactLog:
         return replace(self, recording=recording, usable=None, weight=None)
+
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        layout, cells, sampling = self.layout, self.cells(vector), self.sampling
+        reads, every = sampling.reads(layout, vector, cells), []
+        maps = sampling.maps(layout, vector, cells, slopes=False)
+        for part in self.recording.parts:
+            e = np.full((part.time.size, layout.n), np.nan)
+            usable = sampling.usable(part, self.within, *window)
+            for i, own in enumerate(maps):
+                k = usable[part.mode[usable] == i]
+                if not k.size:
+                    continue
+                z = sampling.rows(part, k, reads[i], layout.constant)
+                e[k + 1] = z[:, : layout.n] - z[:, layout.n :] @ own.P.T
+            every.append(e)
+        e = np.vstack(every)
+        return e, np.ones(e.shape)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
         """The regressions for delays in a range, seconds, in cells of delays."""

@@ -48,7 +48,7 @@ from deadtime.identification.likelihoods.innovations import (
     with_inputs,
     without_constants,
 )
-from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.likelihood import Likelihood, OfKnownModes
 from deadtime.identification.likelihoods.switched_filter import (
     Places,
     Sensors,
@@ -283,7 +283,7 @@ class SensorLikelihood(Likelihood):
 
 
 @dataclass(frozen=True, eq=False)
-class NoisyLog(SensorLikelihood):
+class NoisyLog(SensorLikelihood, OfKnownModes):
     """The likelihood of a recording with measurement noise, its modes known."""
 
     def stride(self, vector: Vector) -> Vector:
