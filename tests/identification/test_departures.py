@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 import deadtime as dt
 from deadtime.cli import main
-from deadtime.identification.actuators import delay_grid, lag_weights
+from deadtime.identification.actuators import delay_grid, lag_weights, rate_limited
 from deadtime.identification.departures import Probe, departures_of, fit_lag
 from deadtime.identification.score_tests import Regression, best_of_path, log_tail, random_walk
 
@@ -326,6 +326,56 @@ def test_a_step_in_noise_tells_only_the_sum_of_a_lag_and_a_delay():
     assert fit.departures == ()
     (text,) = [one for one in fit.sentences if "may act through a lag of up to" in one]
     assert "the log tells their sum, and not each alone" in text
+
+
+STEPS_UNSEEN = {
+    "between logs": lambda: [log_of(12 + i, rows=300).assign(u2=float(i)) for i in range(2)],
+    "on a lost row": lambda: log_of(12).assign(u2=np.repeat([0.0, 1.0], 300)).drop(index=300),
+}
+
+
+@pytest.mark.parametrize("where", STEPS_UNSEEN)
+def test_an_input_without_a_step_in_the_rows_is_not_tested_for_a_limited_rate(where):
+    fit = dt.identify(STEPS_UNSEEN[where](), None, (0.0, 1.0), noise=False)
+    assert fit.departures == ()
+    tested = [one.name for one in Probe.of(fit._estimate).alternatives()]
+    assert tested.count("rate limit") == 1
+    assert tested.count("actuator lag") == 2
+
+
+def test_advice_names_the_column_of_a_log_for_a_shell():
+    log = log_of(1, actuator=lagging(0.03)).rename(columns={"x1": "x1: position (m)"})
+    (found,) = identified(log).departures
+    assert found.name == "actuator lag"
+    assert "outputs=['x1: position (m)'], order=3, --outputs \"x1: position (m)\"" in found.advice
+    name = re.findall(r"outputs=\['([^']*)'", found.advice)[0]
+    assert dt.identify(log, None, (0.0, 1.0), outputs=[name], order=2).plant.states == 2
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_an_input_of_limited_rate_is_the_mean_of_a_fine_course_or_that_at_rows(linear):
+    rng = np.random.default_rng(0)
+    t, fine = np.arange(40.0), np.arange(0.0, 39.0, 1e-3)
+    u = np.repeat(rng.standard_normal(10), 4)
+    target = np.interp(fine, t, u) if linear else u[fine.astype(int)]
+    course, now = np.empty(fine.size), u[0]
+    for k, one in enumerate(target):
+        course[k] = now
+        now += np.clip(one - now, -0.7e-3, 0.7e-3)
+    rows = course.reshape(-1, 1000)
+    expected = rows[:, 0] if linear else rows.mean(axis=1)
+    assert rate_limited(u, t, 0.7, linear)[:-1] == pytest.approx(expected, abs=5e-3)
+
+
+def test_a_mode_that_no_stretch_of_a_long_log_visits_has_the_noise_of_all_rows():
+    log = log_of(14, rows=8600).assign(mode=0)
+    log.loc[600:680, "mode"] = 1  # the first stretch ends before it, and the second begins later
+    estimate = dt.identify(log, delay=(0.0, 1.0), noise=False)._estimate
+    probe = Probe.of(estimate)
+    assert all((part.mode == 0).all() for part in probe.parts)
+    whole = probe.whole.innovations_at(probe.vector, probe.window)
+    assert probe.innovations.roots == pytest.approx(whole.roots)
+    assert departures_of(estimate).found == ()
 
 
 def test_measurements_without_noise_are_not_tested():

@@ -8,6 +8,7 @@ import pytest
 import deadtime as dt
 from analog_logs import AnalogPlant, table
 from deadtime.cli import main
+from deadtime.identification.departures import departures_of
 from deadtime.identification.likelihoods.likelihood import ExactLog
 from deadtime.identification.likelihoods.noisy_log import NoiseLevels, NoisyLog
 from deadtime.identification.log.recording import Part, Recording
@@ -153,6 +154,10 @@ def test_a_linear_input_is_named_and_its_delay_lies_in_the_interval_of_the_linea
     assert SPEAKS in fit.message
     assert not inside(fit, 0.312)
     assert any("held between samples" in doubt for doubt in fit.doubts)
+    lags = [one for one in departures_of(fit._estimate).found if one.like_a_lag]
+    assert lags  # the same cause, which is reported once
+    assert not {one.name for one in fit.departures} & {one.name for one in lags}
+    assert not any("departs from the model" in doubt for doubt in fit.doubts)
     right = fitted(log, **LINEAR)
     assert inside(right, 0.312)
     assert right.delays[0, 0] - fit.delays[0, 0] == pytest.approx(0.5 * H, rel=0.1)

@@ -273,7 +273,7 @@ def test_arguments_that_contradict_a_model_are_refused(options, message):
 def test_a_model_of_several_outputs_is_refused_and_says_how_to_choose_one():
     log = made(first_order, (2.0, 20.0, 4.3), 0.01).rename(columns={"y1": "x1"})
     log = log.assign(x2=log["x1"] ** 2)
-    with pytest.raises(ArgumentError, match=r"one output, got 2 \(x1, x2\): .* --outputs 'x1'"):
+    with pytest.raises(ArgumentError, match=r"one output, got 2 \(x1, x2\): .* --outputs x1"):
         dt.identify(log, modes=None, delay=(0.0, 20.0), model="fopdt")
     fit = dt.identify(log, modes=None, delay=(0.0, 20.0), model="fopdt", outputs=["x1"])
     assert fit.states == ("x1",)

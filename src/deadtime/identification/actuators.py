@@ -42,15 +42,21 @@ def lag_weights(
 
 
 def rate_limited(
-    u: Float[np.ndarray, " row"], t: Float[np.ndarray, " row"], rate: float
+    u: Float[np.ndarray, " row"], t: Float[np.ndarray, " row"], rate: float, linear: bool = False
 ) -> Float[np.ndarray, " row"]:
     """The mean over each row of an output that moves to the input no faster than a rate.
+
+    linear : whether the input changes linearly between rows; then the output at each row
 
     Examples
     --------
     >>> rate_limited(np.array([0.0, 3.0, 3.0, 3.0]), np.arange(4.0), 2.0)
     array([0.  , 1.  , 2.75, 3.  ])
+    >>> rate_limited(np.array([0.0, 3.0, 3.0, 3.0]), np.arange(4.0), 2.0, linear=True)
+    array([0., 2., 3., 3.])
     """
+    if linear:
+        return _at_rows(u, t, rate)
     result, now = np.empty(u.size), float(u[0])
     lengths = np.diff(t, append=np.inf)  # the last row's output is held
     for k, (target, length) in enumerate(zip(u, lengths, strict=True)):
@@ -65,6 +71,19 @@ def rate_limited(
         else:
             result[k] = now + 0.5 * np.sign(gap) * reach
             now += np.sign(gap) * reach
+    return result
+
+
+def _at_rows(
+    u: Float[np.ndarray, " row"], t: Float[np.ndarray, " row"], rate: float
+) -> Float[np.ndarray, " row"]:
+    result, now = np.empty(u.size), float(u[0])
+    for k, (target, length) in enumerate(zip(u, np.diff(t, prepend=t[0]), strict=True)):
+        result[k] = target
+        if np.isfinite(target):
+            reach = rate * float(length)
+            now = float(np.clip(target, now - reach, now + reach) if np.isfinite(now) else target)
+            result[k] = now
     return result
 
 

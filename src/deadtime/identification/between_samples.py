@@ -108,15 +108,15 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
     degree : as requested; None to test held inputs against linear ones
     """
     if degree:
-        said = "Inputs are taken to change linearly between samples."
+        sentence = "Inputs are taken to change linearly between samples."
         if (log.estimate.delays < log.recording.step * (1.0 - EDGE)).any():
-            said = (
-                f"{said} With a delay below a row they act before their row, so they are taken not "
-                "to follow its measurement."
+            sentence = (
+                f"{sentence} With a delay below a row they act before their row, so they are taken "
+                "not to follow its measurement."
             )
-        return log._replace(sentences=(*log.sentences, said))
+        return log._replace(sentences=(*log.sentences, sentence))
     estimate, recording = log.estimate, log.recording
-    changes = np.vstack([np.diff(part.input, axis=0) != 0.0 for part in recording.parts])
+    changes = np.vstack([np.abs(np.diff(part.input, axis=0)) > 0.0 for part in recording.parts])
     if degree == 0 or estimate.missed.any() or (changes.mean(axis=0) <= _CHANGES).all():
         return log
     test = hold_test(estimate, recording)
@@ -124,7 +124,7 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
         return log
     if test.early and (follows := _follows(recording, estimate.searched[1])).any():
         return _at_zero_in_loop(log, np.array(recording.inputs)[follows][0])
-    return _told(log, test)
+    return _with_result(log, test)
 
 
 def _follows(recording: Recording, longest: float) -> Bool[np.ndarray, " m"]:
@@ -211,16 +211,16 @@ def _at_zero_in_loop(log: IdentifiedLog, name: str) -> IdentifiedLog:
     """The identified log with what a delay of 0 may mean where an input seems to be feedback."""
     if not _zero(log.estimate):
         return log
-    said = (
+    sentence = (
         f"{name} is related to the measurement of its own row: either it follows that measurement, "
         "or the input acts up to half a row earlier than logged, because it changes linearly "
         'between samples (hold="linear" with noise=False, --hold linear --no-noise), or because '
         "its stamps are late."
     )
-    return log._replace(sentences=(*log.sentences, said))
+    return log._replace(sentences=(*log.sentences, sentence))
 
 
-def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
+def _with_result(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
     """The identified log with the sentences, doubts and intervals that follow from a test."""
     estimate, h = log.estimate, log.recording.step
     held, linear = test.plausible
@@ -228,28 +228,32 @@ def _told(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:
         by_chance = estimate.tests.white and estimate.tests.unrelated
         if linear or not by_chance or _smooth(log.recording):
             return _widened(log, test.later)
-        said = "The input is taken as held between samples: the log supports that."
-        return log._replace(sentences=(*log.sentences, said))
+        sentence = "The input is taken as held between samples: the log supports that."
+        return log._replace(sentences=(*log.sentences, sentence))
     if _zero(estimate):
-        said = (
+        sentence = (
             "The input acts up to half a row earlier than logged: it changes linearly between "
             'samples (repeat with hold="linear", --hold linear), or its stamps are late.'
         )
     elif linear and test.fits:
-        said = (
+        sentence = (
             "The log speaks for an input that changes linearly between samples (a held one fits "
             f'worse by {test.off[0]:.1f} standard deviations): repeat with hold="linear", --hold '
             f"linear; with a held input the delay is about half a period, {0.5 * h:.3g} s, too "
             f"short. (A lag of the actuator of about {h / np.sqrt(12.0):.2g} s looks alike.)"
         )
     else:
-        said = (
+        sentence = (
             "The log supports neither an input that is held between samples nor one that changes "
             "linearly: an actuator with a lag, a filter or a second path may act, or stamps may be "
             f"off. The delay may be off by half a period, {0.5 * h:.3g} s."
         )
     doubt = "the input does not seem to be held between samples"
-    return log._replace(sentences=(*log.sentences, said), doubts=(*log.doubts, doubt))
+    return log._replace(
+        sentences=(*log.sentences, sentence),
+        doubts=(*log.doubts, doubt),
+        linear=bool(linear) and test.fits,
+    )
 
 
 def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> IdentifiedLog:
@@ -260,12 +264,12 @@ def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> Identifi
         return log
     ends = np.column_stack((np.minimum(low, low + later), np.maximum(high, high + later)))
     estimate = replace(estimate, intervals=np.clip(ends, *estimate.log.bounds))
-    said = (
+    sentence = (
         "The log does not tell whether the input is held between samples or changes linearly: the "
         f"interval covers both; a linear one has a delay {_ends(later)} s longer. Say which by "
         'hold="held" or hold="linear", --hold.'
     )
-    return log._replace(estimate=estimate, sentences=(*log.sentences, said))
+    return log._replace(estimate=estimate, sentences=(*log.sentences, sentence))
 
 
 def _ends(values: Sequence[float] | np.ndarray) -> str:

@@ -35,7 +35,8 @@ from deadtime.identification.actuators import (
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.likelihoods.innovations import Innovations
 from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
-from deadtime.identification.log.recording import Part
+from deadtime.identification.log.read_tables import quoted
+from deadtime.identification.log.recording import Part, Recording
 from deadtime.identification.parameters import Layout, Vector, Window
 from deadtime.identification.residuals import CHANCE
 from deadtime.identification.score_tests import (
@@ -101,6 +102,11 @@ class Departure(NamedTuple):
         """Why intervals may not contain the delays, as the end of a sentence."""
         return f"the log departs from the model by {_DOUBT[self.name]}"
 
+    @property
+    def like_a_lag(self) -> bool:
+        """Whether a lag of an actuator explains it, or nearly as much."""
+        return "actuator lag" in {self.name, *self.others}
+
 
 _DOUBT = {
     "actuator lag": "a lag of the actuator, which the delay includes",
@@ -119,7 +125,9 @@ _DOUBT = {
 class WithInnovations(Protocol):
     """A likelihood whose innovations are known."""
 
-    def innovations_at(self, vector: Vector, window: Window) -> Innovations: ...
+    def innovations_at(
+        self, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> Innovations: ...
 
 
 class Departures(NamedTuple):
@@ -141,13 +149,19 @@ class Alternative(NamedTuple):
     weight: float = 1.0
 
 
-def departures_of(estimate: Estimate) -> Departures:
-    """The departures of a log with logged modes, from its estimate."""
+def departures_of(estimate: Estimate, linear: bool = False) -> Departures:
+    """The departures of a log with logged modes, from its estimate.
+
+    linear : whether inputs taken as held change linearly between samples, as the log shows: then
+        lags are not reported, for a linear input resembles one of h/√12
+    """
     if estimate.missed.any() or estimate.outside or _is_exact(estimate):
         return Departures()
     probe = Probe.of(estimate)
     fit = Regression.of(probe.innovations.stacked(probe.white), probe.slopes)
     found = _found(fit, probe)
+    if linear:
+        return Departures(tuple(one for one in found if not one.like_a_lag))
     return Departures(found, () if found else tuple(probe.lags_left_open(fit, estimate)))
 
 
@@ -201,9 +215,11 @@ def _departure(found: Alternative, score: Score, others: tuple[str, ...]) -> Dep
 class Probe(NamedTuple):
     """An estimate's innovations at its maximum, and the alternatives to its model.
 
+    whole : the likelihood of the log; log : that of the rows that are tested
     white : (rows, p), the innovations; slopes : (data, size)
     """
 
+    whole: Likelihood
     log: Likelihood
     vector: Vector
     window: Window
@@ -213,13 +229,13 @@ class Probe(NamedTuple):
 
     @classmethod
     def of(cls, estimate: Estimate) -> Probe:
-        log, vector = estimate.log, estimate.best.theta
-        some = log.recording.stretches(_ROWS, log.recording.lag(estimate.window[1]))
-        log = replace(log, recording=some)
-        innovations = cast(WithInnovations, log).innovations_at(vector, estimate.window)
+        whole, vector = estimate.log, estimate.best.theta
+        some = whole.recording.stretches(_ROWS, whole.recording.lag(estimate.window[1]))
+        log = replace(whole, recording=some)
+        innovations = cast(WithInnovations, whole).innovations_at(vector, estimate.window, some)
         white = np.clip(innovations.residuals(vector), -_FAR, _FAR)
         slopes = innovations.slopes(vector)
-        return cls(log, vector, estimate.window, innovations, white, slopes)
+        return cls(whole, log, vector, estimate.window, innovations, white, slopes)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -240,6 +256,7 @@ class Probe(NamedTuple):
 
     def _of_input(self, j: int) -> Iterator[Alternative]:
         name, h = self.log.recording.inputs[j], self.log.recording.step
+        linear = self.log.recording.hold == 1
         lags = self._lags(j)
         smeared = self.lagged(j, lags)
         steps = np.concatenate([np.abs(np.diff(part.input[:, j])) for part in self.parts])
@@ -254,6 +271,8 @@ class Probe(NamedTuple):
         )
         u = np.concatenate([part.input[:, j] for part in self.parts])
         u = u[np.isfinite(u)]
+        if not u.size:  # of stretches in lost rows
+            return
         low, high = np.quantile(u, _CLIPPED), np.quantile(u, 1.0 - np.array(_CLIPPED))
         nothing = np.full(len(low), np.inf)
         ends = np.hstack([(low, high), (-nothing, high), (low, nothing)]).T
@@ -280,16 +299,17 @@ class Probe(NamedTuple):
             ),
         )
         rates = largest / (h * _RAMPS)
-        yield self._of_map(
-            "rate limit",
-            j,
-            [lambda u, t, r=r: rate_limited(u, t, r) for r in rates if r > 0.0],
-            lambda k: (
-                f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
-                "limited, and the delay includes part of the ramps.",
-                f"Log what the actuator delivers as {name}, or test with smaller steps.",
-            ),
-        )
+        if largest > 0.0:  # an input may differ between logs alone
+            yield self._of_map(
+                "rate limit",
+                j,
+                [lambda u, t, r=r: rate_limited(u, t, r, linear) for r in rates],
+                lambda k: (
+                    f"{name} moves no faster than about {rates[k]:.2g} per second: its rate is "
+                    "limited, and the delay includes part of the ramps.",
+                    f"Log what the actuator delivers as {name}, or test with smaller steps.",
+                ),
+            )
         slack = np.ptp(u) * np.array(_SLACK)
         yield self._of_map(
             "backlash",
@@ -382,11 +402,11 @@ class Probe(NamedTuple):
         )
         if error > 0.5 * lag:
             sentence += " The log tells their sum, but hardly each alone."
-        first = recording.outputs[0]
+        first = recording.columns.outputs[0]
         return sentence, (
             "Log what the actuator delivers as one more state, or identify from outputs alone with "
-            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {first} --order "
-            f"{n + 1}); a law for the effective delay must tolerate the lag."
+            f"one more state (outputs=[{first!r}], order={n + 1}, --outputs {quoted(first)} "
+            f"--order {n + 1}); a law for the effective delay must tolerate the lag."
         )
 
     def _delays_per_mode(self) -> Iterator[Alternative]:
@@ -394,7 +414,8 @@ class Probe(NamedTuple):
         A, B, delays = layout.split(self.vector[: layout.size])
         vector = np.concatenate((own.join(A, B, delays), self.vector[layout.size :]))
         log = replace(self.log, layout=own)
-        slopes = cast(WithInnovations, log).innovations_at(vector, self.window).slopes(vector)
+        whole = cast(WithInnovations, replace(self.whole, layout=own))
+        slopes = whole.innovations_at(vector, self.window, self.log.recording).slopes(vector)
 
         def say(j: int) -> tuple[str, str]:
             best, _ = maximise(log, vector, gain=1e-4)
@@ -431,11 +452,10 @@ class Probe(NamedTuple):
                 for a in range(p)
             ]
             worst = int(np.argmax(np.abs(r)))
-            name = self.log.recording.outputs[worst] if p > 1 else "What is left"
-            name = f"What is left of {name}" if p > 1 else name
+            of = f" of {self.log.recording.outputs[worst]}" if p > 1 else ""
             return (
-                f"{name} depends on itself one row before ({r[worst]:+.2f}) and on no input: noise "
-                "is coloured, or a state is missing. Intervals are too narrow then.",
+                f"Residuals{of} depend on those one row before ({r[worst]:+.2f}) and on no input: "
+                "noise is coloured, or a state is missing. Intervals are too narrow then.",
                 "Say noise=True, --noise, if sensors were taken as exact; log what disturbs the "
                 "plant as an input, or raise the order by the disturbance's states.",
             )

@@ -27,9 +27,8 @@ from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Window
 from deadtime.identification.predictor import Predictor
-from deadtime.identification.residuals import autocorrelation
+from deadtime.identification.residuals import CHANCE, autocorrelation
 
-CHANCE = 1e-3  # significance level of a difference, and of larger errors
 _FEW = 4_000  # rows of a log that are compared
 _GRID = 17  # delays over the range searched
 _NEAR = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0])  # periods from the delay, which are tried, too
@@ -245,7 +244,8 @@ class _Regressions:
             e, by = (one[self.good] for one in self.rows(shift))
             z = np.linalg.solve(self.root, e.T).T.reshape(-1, 1)
             X = np.linalg.solve(self.root, by).reshape(z.size, -1)
-            unit = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
+            unit = np.linalg.norm(X, axis=0)
+            unit[unit == 0.0] = 1.0  # where squares underflow, too
             both = np.hstack((z, X / unit))
             inside = self.by_plant.T @ both
             self.products[shift] = both.T @ both - inside.T @ inside, unit

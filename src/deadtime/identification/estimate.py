@@ -243,6 +243,7 @@ class IdentifiedLog(NamedTuple):
 
     states : names of states; model : of the switching, or None and the reason `why`
     sentences, doubts : those that not every estimate has
+    linear : whether inputs taken as held change linearly between samples, as the log shows
     """
 
     estimate: Estimate
@@ -254,6 +255,7 @@ class IdentifiedLog(NamedTuple):
     sentences: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     modes: HiddenModes | None = None
+    linear: bool = False
 
 
 def variance_ends(value: float, error: float) -> tuple[float, float]:

@@ -91,7 +91,7 @@ class Identification(Findings):
         estimate.require_inside()
         rest = rest_of(estimate, np.linalg.pinv(C))
         untimed = log.modes is not None or bool(repeats(recording))
-        departures = Departures() if untimed else departures_of(estimate)
+        departures = Departures() if untimed else departures_of(estimate, log.linear)
         given = estimate, recording, C, log.why, rest, states, departures
         sentences, doubts = sentences_of(*given)
         fit = cls(

@@ -204,7 +204,7 @@ def identify(
     recording = recording._replace(hold=degree or 0)
     require_seconds(recording, high)
     require_causal(recording, (low, high), noise)
-    require_one_output(model, recording.outputs)
+    require_one_output(model, recording.columns.outputs)
     if test is not None and numbers is not None:
         raise ArgumentError(NOT_LOGGED)
     recording, compared = log_to_compare(test, recording, high + recording.step, rest)

@@ -33,12 +33,12 @@ from deadtime.identification.outputs_maxima import (
     with_other_delays,
 )
 from deadtime.identification.parameters import Layout, Window
+from deadtime.identification.residuals import CHANCE
 from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
 from deadtime.numerics.kernels import expect_many_calls
 
 _FEW = 4_000  # samples that locate the maximum
-CHANCE = 1e-3  # significance level of zeros and of chains that jump
 _DOUBT = 0.05  # level at which zeros are plausible
 _WIDE = 0.2  # relative standard error of an input's weight that suggests a spurious pole
 

@@ -28,11 +28,11 @@ from deadtime.identification.likelihoods.likelihood import Likelihood
 from deadtime.identification.log.logged_states import rest_rows
 from deadtime.identification.log.recording import Level, Recording
 from deadtime.identification.parameters import FisherMatrix, Layout, Vector
+from deadtime.identification.residuals import CHANCE
 from deadtime.plant import OperatingPoint
 
 _Log = TypeVar("_Log", bound=Likelihood)
 
-CHANCE = 1e-3  # significance level of constant terms
 _SELDOM = 1e-6  # significance level of constant terms where noise is estimated, too
 _APART = 1e-3  # significance level of different rests of modes
 _NOTHING = 1e-6  # constant terms relative to the other terms of dx/dt: smaller ones are round-off

@@ -133,7 +133,7 @@ class Predictor(Frozen):
         for way in ways.T[values > _KNOWN]:
             moved = self.vector.copy()
             moved[: way.size] += _SMALL * way
-            moved[at] = np.maximum(moved[at], shortest)
+            moved[at] = np.clip(moved[at], shortest, window[1])
             by.append((self.errors(moved, window) - e) / _SMALL)
         return np.stack(by, axis=-1)
 

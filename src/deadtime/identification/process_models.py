@@ -29,6 +29,7 @@ from deadtime.base.checks import brief, python_control
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
 from deadtime.identification.estimate import Estimate
+from deadtime.identification.log.read_tables import quoted
 from deadtime.identification.log.recording import Recording
 from deadtime.identification.parameters import SensorMatrix, Square
 
@@ -63,7 +64,7 @@ def require_one_output(model: str | None, outputs: tuple[str, ...]) -> None:
     if model is not None and len(outputs) > 1:
         raise ArgumentError(
             f"model={model!r} is of one output, got {len(outputs)} ({', '.join(outputs)}): choose "
-            f"one at a time by outputs=[{outputs[0]!r}], --outputs {outputs[0]!r}."
+            f"one at a time by outputs=[{outputs[0]!r}], --outputs {quoted(outputs[0])}."
         )
 
 
@@ -204,7 +205,7 @@ def processes_of(estimate: Estimate, recording: Recording, C: SensorMatrix) -> t
         return ()
     D = np.column_stack((estimate.delays, estimate.intervals))
     D[D[:, 1] <= estimate.log.bounds[0], 1] = estimate.searched[0]
-    told = ~(estimate.missed | estimate.several | estimate.range_flags[1])
+    determined = ~(estimate.missed | estimate.several | estimate.range_flags[1])
     covariance, reach = _covariance(estimate)
     for i, mode in enumerate(recording.modes):
         places = np.append(layout.of_A[i].ravel(), layout.of_B[i][:, : layout.m].ravel())
@@ -215,7 +216,7 @@ def processes_of(estimate: Estimate, recording: Recording, C: SensorMatrix) -> t
             continue
         for a, j in np.ndindex(len(C), layout.m):
             row = layout.of_delay[i, j] - layout.of_delay.min()
-            if told[row]:
+            if determined[row]:
                 names = mode, recording.outputs[a], recording.inputs[j]
                 value, low, high = D[row].tolist()
                 processes.append(transfer.process(a, j, names, Quantity(value, low, high, "s")))

@@ -20,7 +20,7 @@ from deadtime.plant import SwitchedSystem
 _BLOCK = 20_000
 LAGS = 10  # at which residuals are compared with themselves
 _MOST_LAGS = 60  # with the inputs
-CHANCE = 1e-3  # a test fails whose figure has a smaller probability
+CHANCE = 1e-3  # significance level: a test fails whose figure has a smaller probability
 
 
 class ResidualTests(NamedTuple):

@@ -162,9 +162,6 @@ class HiddenNoisyLog(SensorLikelihood):
         """The likelihood with known modes, those of a recording, which change at samples."""
         return NoisyLog(recording, self.layout, False, self.bounds, self.nodes, self.C)
 
-    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        return self.along(self.recording).residuals(vector, window)
-
     def ordered(self, order: Int[np.ndarray, " mode"]) -> HiddenNoisyLog:
         errors, jumps = self.layout.ordered(self.errors, order), self.jumps.ordered(order)
         return replace(self, errors=errors, jumps=jumps, _kept={})

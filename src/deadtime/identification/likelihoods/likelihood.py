@@ -99,15 +99,8 @@ class Likelihood(Frozen, ABC):
         """
 
     @abstractmethod
-    def along(self, recording: Recording) -> Likelihood:
+    def along(self, recording: Recording) -> OfKnownModes:
         """The likelihood with known modes, those of a recording."""
-
-    @abstractmethod
-    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """Errors of one-step predictions with known modes, and the variances known of them.
-
-        Two arrays (samples, p), NaN where a period is not usable for delays in a window.
-        """
 
     @cached_property
     def sampling(self) -> Sampling:
@@ -116,6 +109,17 @@ class Likelihood(Frozen, ABC):
 
     def cells(self, theta: Vector) -> Cells:
         return cells_of(theta[self.layout.at_delays], self.recording.step)
+
+
+class OfKnownModes(Likelihood):
+    """A likelihood with known modes."""
+
+    @abstractmethod
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of one-step predictions, and the variances known of them.
+
+        Two arrays (samples, p), NaN where a period is not usable for delays in a window.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,23 +135,6 @@ class PlantLikelihood(Likelihood):
 
     def identified(self, vector: Vector, F: FisherMatrix) -> Int[np.ndarray, " identified"]:
         return np.arange(self.layout.size)
-
-    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        layout, cells, sampling = self.layout, self.cells(vector), self.sampling
-        reads, every = sampling.reads(layout, vector, cells), []
-        maps = sampling.maps(layout, vector, cells, slopes=False)
-        for part in self.recording.parts:
-            e = np.full((part.time.size, layout.n), np.nan)
-            usable = sampling.usable(part, self.within, *window)
-            for i, own in enumerate(maps):
-                k = usable[part.mode[usable] == i]
-                if not k.size:
-                    continue
-                z = sampling.rows(part, k, reads[i], layout.constant)
-                e[k + 1] = z[:, : layout.n] - z[:, layout.n :] @ own.P.T
-            every.append(e)
-        e = np.vstack(every)
-        return e, np.ones(e.shape)
 
 
 def window_of(log: Likelihood, delays: Float[np.ndarray, " delay"], reach: float = REACH) -> Window:
@@ -258,7 +245,7 @@ def rooted(z: Float[np.ndarray, "period z"], weight: Float[np.ndarray, " period"
 
 
 @dataclass(frozen=True, eq=False)
-class ExactLog(PlantLikelihood):
+class ExactLog(PlantLikelihood, OfKnownModes):
     """The likelihood of a recording whose states are measured without noise: regressions.
 
     usable : the periods of every part; by default those usable in a window
@@ -270,6 +257,23 @@ class ExactLog(PlantLikelihood):
 
     def along(self, recording: Recording) -> ExactLog:
         return replace(self, recording=recording, usable=None, weight=None)
+
+    def residuals(self, vector: Vector, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        layout, cells, sampling = self.layout, self.cells(vector), self.sampling
+        reads, every = sampling.reads(layout, vector, cells), []
+        maps = sampling.maps(layout, vector, cells, slopes=False)
+        for part in self.recording.parts:
+            e = np.full((part.time.size, layout.n), np.nan)
+            usable = sampling.usable(part, self.within, *window)
+            for i, own in enumerate(maps):
+                k = usable[part.mode[usable] == i]
+                if not k.size:
+                    continue
+                z = sampling.rows(part, k, reads[i], layout.constant)
+                e[k + 1] = z[:, : layout.n] - z[:, layout.n :] @ own.P.T
+            every.append(e)
+        e = np.vstack(every)
+        return e, np.ones(e.shape)
 
     def terms_in(self, low: float, high: float) -> TermsIn:
         """The regressions for delays in a range, seconds, in cells of delays."""
@@ -288,9 +292,14 @@ class ExactLog(PlantLikelihood):
 
         return within
 
-    def innovations_at(self, vector: Vector, window: Window) -> ExactInnovations:
-        """Errors of a period, for score tests; `window`: of the delays, seconds."""
-        return ExactInnovations.at(self, vector, window)
+    def innovations_at(
+        self, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> ExactInnovations:
+        """Errors of a period, for score tests, of all rows or those `tested`, with all rows' noise.
+
+        window : of the delays, seconds
+        """
+        return ExactInnovations.at(self, vector, window, tested)
 
 
 class ExactInnovations(NamedTuple):
@@ -304,14 +313,17 @@ class ExactInnovations(NamedTuple):
     roots: Squares
 
     @classmethod
-    def at(cls, log: ExactLog, vector: Vector, window: Window) -> ExactInnovations:
-        parts = log.recording.parts
-        k = tuple(log.sampling.usable(part, log.within, *window) for part in parts)
+    def at(
+        cls, log: ExactLog, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> ExactInnovations:
         terms = log.terms_in(*window)(log.cells(vector))(vector)
         counts = np.array([term.periods for term in terms])
         spare = np.maximum(counts - log.layout.n - log.layout.acting - 1, 1)
         S = concentrated(terms, log.layout.size)[1] * (counts / spare)[:, None, None]
-        return cls(log, k, np.linalg.cholesky(S))
+        own = log if tested is None else replace(log, recording=tested)
+        parts = own.recording.parts
+        k = tuple(own.sampling.usable(part, own.within, *window) for part in parts)
+        return cls(own, k, np.linalg.cholesky(S))
 
     def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
         return self._errors(vector, self.log.recording.parts)

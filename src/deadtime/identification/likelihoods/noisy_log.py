@@ -48,7 +48,7 @@ from deadtime.identification.likelihoods.innovations import (
     with_inputs,
     without_constants,
 )
-from deadtime.identification.likelihoods.likelihood import Likelihood
+from deadtime.identification.likelihoods.likelihood import Likelihood, OfKnownModes
 from deadtime.identification.likelihoods.switched_filter import (
     Places,
     Sensors,
@@ -283,7 +283,7 @@ class SensorLikelihood(Likelihood):
 
 
 @dataclass(frozen=True, eq=False)
-class NoisyLog(SensorLikelihood):
+class NoisyLog(SensorLikelihood, OfKnownModes):
     """The likelihood of a recording with measurement noise, its modes known."""
 
     def stride(self, vector: Vector) -> Vector:
@@ -347,9 +347,15 @@ class NoisyLog(SensorLikelihood):
         e, s = zip(*((block.e, block.s) for block in blocks), strict=True)
         return np.vstack(e), np.vstack(s)
 
-    def innovations_at(self, vector: Vector, window: Window) -> FilterInnovations:
-        """Innovations of the filter, for score tests; `window`: of the delays, seconds."""
-        return FilterInnovations.at(self, vector, window)
+    def innovations_at(
+        self, vector: Vector, window: Window, tested: Recording | None = None
+    ) -> FilterInnovations:
+        """Innovations of the filter, for score tests, of all rows or those `tested`.
+
+        window : of the delays, seconds
+        """
+        log = self if tested is None else self.along(tested)
+        return FilterInnovations(log, log.starts(*window))
 
     def value(self, vector: Vector, starts: Starts) -> float:
         return self.filter(vector, starts).evaluate(Places.none(self.layout.modes)).value
@@ -370,10 +376,6 @@ class FilterInnovations(NamedTuple):
 
     log: NoisyLog
     starts: Starts
-
-    @classmethod
-    def at(cls, log: NoisyLog, vector: Vector, window: Window) -> FilterInnovations:
-        return cls(log, log.starts(*window))
 
     def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
         e, s = self.log.innovations(vector, self.starts)
