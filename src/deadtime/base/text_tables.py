@@ -331,7 +331,7 @@ def _names(header: list[str], rows: list[list[str]]) -> tuple[list[str], bool]:
         cells = cells[:-1]
     # Of two columns with one name it is not known which is meant: each gets another.
     names = [
-        f"{cell} (column {place})" if cells.count(cell) > 1 or not cell else cell
+        f"{cell} (column {place})".strip() if cells.count(cell) > 1 or not cell else cell
         for place, cell in enumerate(cells, 1)
     ]
     return names, last

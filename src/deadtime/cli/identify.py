@@ -238,10 +238,12 @@ def _test(given: list[str] | None) -> str | float | list[Path] | None:
         return None
     if given == ["half"]:
         return "half"
-    try:
-        return float(given[0]) if len(given) == 1 else [Path(one) for one in given]
-    except ValueError:
-        return [Path(given[0])]
+    shares = [one for one in given if one == "half" or re.fullmatch(r"0?\.\d+|\d+", one)]
+    if shares and len(given) > 1:
+        raise ArgumentError(
+            f"test must be half, a share or logs, got {shares[0]} and others: give one of them."
+        )
+    return float(shares[0]) if shares else [Path(one) for one in given]
 
 
 def _require_apart(read: list[Path | None], written: list[Path | None]) -> None:

@@ -107,6 +107,9 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
 
     degree : as requested; None to test held inputs against linear ones
     """
+    estimate, recording = log.estimate, log.recording
+    changes = np.vstack([np.abs(np.diff(part.input, axis=0)) > 0.0 for part in recording.parts])
+    stays = bool((changes.mean(axis=0) <= _CHANGES).all())
     if degree:
         sentence = "Inputs are taken to change linearly between samples."
         if (log.estimate.delays < log.recording.step * (1.0 - EDGE)).any():
@@ -114,16 +117,22 @@ def with_hold_tested(log: IdentifiedLog, degree: int | None) -> IdentifiedLog:
                 f"{sentence} With a delay below a row they act before their row, so they are taken "
                 "not to follow its measurement."
             )
-        return log._replace(sentences=(*log.sentences, sentence))
-    estimate, recording = log.estimate, log.recording
-    changes = np.vstack([np.abs(np.diff(part.input, axis=0)) > 0.0 for part in recording.parts])
-    if degree == 0 or estimate.missed.any() or (changes.mean(axis=0) <= _CHANGES).all():
+        if not stays:
+            return log._replace(sentences=(*log.sentences, sentence))
+        sentence = (
+            f"{sentence} Yet inputs keep their values in most rows, as held ones do: repeat with "
+            'hold="held", --hold held; else the delay may be half a period, '
+            f"{0.5 * recording.step:.3g} s, too long."
+        )
+        doubt = "inputs that seem to be held are taken as linear"
+        return log._replace(sentences=(*log.sentences, sentence), doubts=(*log.doubts, doubt))
+    if degree == 0 or estimate.missed.any() or stays:
         return log
     test = hold_test(estimate, recording)
     if test is None:
         return log
     if test.early and (follows := _follows(recording, estimate.searched[1])).any():
-        return _at_zero_in_loop(log, np.array(recording.inputs)[follows][0])
+        return _near_zero_in_loop(log, test, np.array(recording.inputs)[follows][0])
     return _with_result(log, test)
 
 
@@ -207,9 +216,9 @@ def _zero(estimate: Estimate) -> bool:
     return low == 0.0 and bool((estimate.delays <= EDGE * (high - low)).any())
 
 
-def _at_zero_in_loop(log: IdentifiedLog, name: str) -> IdentifiedLog:
-    """The identified log with what a delay of 0 may mean where an input seems to be feedback."""
-    if not _zero(log.estimate):
+def _near_zero_in_loop(log: IdentifiedLog, test: HoldTest, name: str) -> IdentifiedLog:
+    """The identified log with what a delay near 0 may mean where an input seems to be feedback."""
+    if test.plausible[0] and not _zero(log.estimate):
         return log
     sentence = (
         f"{name} is related to the measurement of its own row: either it follows that measurement, "
@@ -217,7 +226,8 @@ def _at_zero_in_loop(log: IdentifiedLog, name: str) -> IdentifiedLog:
         'between samples (hold="linear" with noise=False, --hold linear --no-noise), or because '
         "its stamps are late."
     )
-    return log._replace(sentences=(*log.sentences, sentence))
+    doubt = "the input does not seem to be held between samples"
+    return log._replace(sentences=(*log.sentences, sentence), doubts=(*log.doubts, doubt))
 
 
 def _with_result(log: IdentifiedLog, test: HoldTest) -> IdentifiedLog:

@@ -127,6 +127,10 @@ class Estimate(Peak):
         others : the other fields, including `best` where the noise is restricted
         """
         intervals, several = peak.delay_intervals()
+        # A search replaces a shortest delay of 0 by a tiny one.
+        least = peak.log.bounds[0]
+        if least <= EDGE * recording.step * (1.0 + EDGE):
+            intervals = np.where(intervals <= least, 0.0, intervals)
         tests = judge_residuals(white, recording, plant.longest_delay, spent)
         own = {"plant": plant, "intervals": intervals, "several": several, "tests": tests}
         return cls(**{**vars(peak), **own, **others}, white=tuple(white))

@@ -38,6 +38,7 @@ from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
 from deadtime.numerics.kernels import expect_many_calls
 
+_LEAST = 2  # measurements per unknown
 _FEW = 4_000  # samples that locate the maximum
 _DOUBT = 0.05  # level at which zeros are plausible
 _WIDE = 0.2  # relative standard error of an input's weight that suggests a spurious pole
@@ -118,6 +119,12 @@ def choose_model(request: OutputsRequest, lead: tuple[int, ...] | None = None) -
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = recording.stretches(_FEW, recording.lag(bounds[1]))
     log = NoisyLog(some, layout, within, bounds, nodes, shape.C, shape)
+    if (known := log.measured(log.starts(*bounds))) < _LEAST * log.free.size:
+        raise ArgumentError(
+            f"log has {known} measurements whose inputs are known for all delays of up to "
+            f"{bounds[1]:g} s, too few for {log.free.size} unknowns: narrow delay=(low, high), "
+            "--delay LOW HIGH, or log for longer, with fewer rows lost."
+        )
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
     simple = _model_of(log, scan_starts(log, guess), starts_from_past(log, guess))

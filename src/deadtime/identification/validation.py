@@ -13,10 +13,11 @@ squares of normal errors with this mean, however correlated, has a larger one so
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from deadtime.base.errors import ArgumentError
 from deadtime.base.frozen import Frozen
@@ -357,7 +358,9 @@ def _details(
     names, sentences = other.outputs, []
     few = other.stretches(_COMPARED, other.lag(estimate.searched[1]))
     inflation = inflation_of(list(estimate.white))
-    difference = difference_of(Predictor.of(estimate, C, few), inflation)
+    # Of a plant whose delay the log leaves open, a difference says nothing of the other log.
+    known = not (estimate.missed | estimate.range_flags[2]).any()
+    difference = difference_of(Predictor.of(estimate, C, few), inflation) if known else None
     if difference is not None:
         words = difference.words(other.inputs, names)
         own = difference.applied(predictor)
@@ -377,10 +380,16 @@ def _details(
     each = "The free run" if starts == 1 else f"Each of {starts} free runs"
     first = f"state that fits its first {used // starts} rows best"
     sentences.append(f"{each} starts from the {'logged state' if predictor.exact else first}.")
-    if _constant(other):
+    constant = _constant(other)
+    if constant.all():
         sentences.append(
             f"Inputs are constant in the {name}: it tests the return to rest, and not the delay."
         )
+    else:
+        sentences += [
+            f"{one} is constant in the {name}, which does not test its gain and delay."
+            for one in compress(other.inputs, constant)
+        ]
     for one, value in other.constants:
         sentences.append(
             f"{one} is {value:.6g} throughout the log that was identified and another in the "
@@ -458,16 +467,16 @@ def _last_values(output: Float[np.ndarray, "sample p"]) -> Float[np.ndarray, "sa
     return pd.DataFrame(output).ffill().shift().to_numpy()
 
 
-def _constant(recording: Recording) -> bool:
+def _constant(recording: Recording) -> Bool[np.ndarray, " m"]:
     every = np.vstack([part.input for part in recording.parts])
-    return bool((np.nanmax(every, axis=0) == np.nanmin(every, axis=0)).all())
+    return np.asarray(np.nanmax(every, axis=0) == np.nanmin(every, axis=0))
 
 
 def _rests(recording: Recording, other: Recording) -> bool:
     """Whether inputs are constant and outputs at rest, compared with their range in another log."""
     y, every = (np.vstack([part.output for part in one.parts]) for one in (recording, other))
     at_rest = (still(x, own) for x, own in zip(y.T, every.T, strict=True))
-    return _constant(recording) and all(at_rest)
+    return bool(_constant(recording).all()) and all(at_rest)
 
 
 def _percents(fits: Float[np.ndarray, " p"], names: tuple[str, ...]) -> str:
