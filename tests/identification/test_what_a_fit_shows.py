@@ -99,7 +99,7 @@ def test_the_figure_is_in_the_log_s_own_units_and_says_how_much_of_it_is_shown(f
     panel = fit.plot().axes[1]
     shown = curves(panel)
     np.testing.assert_allclose(shown["log"], log["level"][:400], rtol=1e-12)
-    for name in ("a sample ahead", "free run"):
+    for name in ("a row ahead", "free run"):
         assert np.nanmax(np.abs(shown[name] - log["level"][:400])) < 0.5
     assert panel.get_xlabel() == "time (s), the first 400 of 450 rows"
     (_, caption, figure) = next(quick_figures(fit))

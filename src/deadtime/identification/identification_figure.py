@@ -57,6 +57,7 @@ def plot_identification(fit: Findings) -> Figure:
         for i, name in enumerate(fit._recording.outputs[:tested]):
             above, below = (figure.add_subplot(grid[rows - 2 * (tested - i) + k]) for k in (0, 1))
             draw_validation(above, below, i, f"{name}, test", courses)
+            below.set_xlabel("time (s)")
     return figure
 
 
@@ -115,7 +116,7 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
             own.plot(part.time, x, ".", color="#999999", markersize=3.0, label="log")
         else:
             own.plot(part.time, x, color="#999999", linewidth=2.5, label="smoothed, not logged")
-        own.plot(part.time, ahead[:, i], color=COLOURS[0], linewidth=0.9, label="a sample ahead")
+        own.plot(part.time, ahead[:, i], color=COLOURS[0], linewidth=0.9, label="a row ahead")
         own.plot(part.time, far, color=COLOURS[1], linestyle="--", label="free run")
         own.set_ylabel(plain(fit.states[i]))
     lines = {str(one.get_label()): one for own in axes for one in own.get_lines()}
@@ -130,7 +131,7 @@ def draw_log(axes: list[Axes], fit: Findings, part: Part) -> None:
 
 
 def _curves(fit: Findings, part: Part) -> tuple[np.ndarray, ...]:
-    """States as logged, or smoothed; a sample ahead; and simulated; all in the log's own units."""
+    """States as logged, or smoothed; a row ahead; and simulated; all in the log's own units."""
     estimate, level, back = fit._estimate, fit._recording.level, np.linalg.pinv(fit.C)
     own = fit._recording._replace(parts=(part,))
     predictor = Predictor.of(estimate, fit.C, own)
@@ -212,7 +213,7 @@ def quick_figures(fit: Findings) -> Iterator[tuple[str, str, Figure]]:
         figure.align_ylabels(axes)
     yield (
         "predictions",
-        f"The log ({rows_shown(fit, part)}), the model a sample ahead, and the model run from the "
+        f"The log ({rows_shown(fit, part)}), the model a row ahead, and the model run from the "
         "first row on with the inputs alone: noise of the plant drives the log away from it.",
         figure,
     )
