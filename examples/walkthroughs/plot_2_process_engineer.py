@@ -72,10 +72,10 @@ for mode, name in enumerate(fit.modes):
 # The controller
 # --------------
 #
-# A sum of errors removes what the model misses. One loop predicts over the dead time, with the flow
-# as it is measured and a model of how long it lasts; one ignores the dead time with the same
-# weights, and one with weights that are gentle enough for it. The proof covers every flow whose
-# regimes last ten minutes or more.
+# A sum of errors removes what the model misses. The first loop predicts over the dead time, with the
+# flow as it is measured and a model of how long it lasts. The second ignores the dead time with the
+# same tuning; the third ignores it with a slower tuning that stays stable. The proof covers every
+# flow whose regimes last ten minutes or more.
 
 plant, C = fit.plant, np.eye(1)
 servo = dt.Servo(plant, C, tracked=C)
@@ -99,8 +99,8 @@ for name, loop in loops.items():
 # An hour in degrees and percent
 # ------------------------------
 #
-# Three kelvin more are asked for, while the flow changes. The valve ends at 0 and 100 %, and the
-# sensor has a noise of 0.02 K.
+# Three kelvin more are asked for, while the flow changes. The valve is limited to 0 to 100 %, and
+# the sensor has a noise of 0.02 K.
 
 signal = dt.SwitchingSignal.random(2, 3600.0, dwell_time=600.0, seed=3)
 (level,), (rest,) = fit.operating_point.x, fit.operating_point.u

@@ -82,7 +82,7 @@ def test_a_loop_with_the_saved_observer_settles_at_its_pace_on_the_true_plant(pl
     K = -B.T @ solve_continuous_are(A, B, np.eye(2), np.eye(1))
     pace = -np.linalg.eigvals(A + B @ K).real.max()
     assert -observer.rates[0] > 0.98 * pace
-    (said,) = [one for one in fit.sentences if "does not tell the disturbance from none" in one]
+    (said,) = [one for one in fit.sentences if "cannot show whether there is process noise" in one]
     assert f"# {said}\nprocess = " in text
     start = np.array([5.0, 0.0]) * B[1, 0]
     norm = run_on_the_plant(plant, problem, start, 30.0)

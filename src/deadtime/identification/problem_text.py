@@ -207,9 +207,9 @@ def filter_noise(fit: Findings) -> tuple[Square, str]:
         values = ", ".join(f"{amount(value)} for {fit.states[a]}" for a, value in each)
         likeliest, here, loop = (amount(max(r, 0.0)) for r in (_decay(fit, W), decay, pace))
         return raised, (
-            "The log does not tell the disturbance from none. An observer designed on its "
-            f"likeliest intensity has an error that decays at {likeliest} /s, so that the file's "
-            f"is designed on {values}: {here} /s, at least as fast as the loop, {loop} /s."
+            "The log cannot show whether there is process noise. An observer tuned to the best "
+            f"estimate would settle at {likeliest} /s, so the file's is tuned to {values} and "
+            f"settles at {here} /s, at least as fast as the loop, {loop} /s."
         )
     return W, ""
 

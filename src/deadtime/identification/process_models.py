@@ -451,7 +451,7 @@ def process_sentences(
         if order <= 2 and not loose[0].integrating:
             also = ("", "") if order == 1 else (", order=2", " --order 2")
             python, command = f'model="integrating"{also[0]}', f"--model integrating{also[1]}"
-            advice = f" If it is one, say {python}, {command}."
+            advice = f" If it is one, say {python}, or in a command {command}."
         sentences.append(
             "The log does not exclude an integrator, whose gain and time constant have no upper "
             f"end: a longer log or a larger step would decide.{advice}"

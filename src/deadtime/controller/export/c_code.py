@@ -195,10 +195,10 @@ def description(form: Form) -> str:
     """A form in a few words."""
     if form.kind == "factorised":
         order = form.sizes["order"]
-        return f"factorised, order {order}: the cost of a period does not depend on the delay"
+        return f"factorised, order {order}: computing time per call does not depend on the delay"
     if form.kind == "low rank":
         return f"low rank {form.sizes['rank']}: off by {form.error:.0e} of the sum of |taps|"
-    return "dense: the cost of a period grows in proportion to the delay"
+    return "dense: computing time per call grows in proportion to the delay"
 
 
 def _values(
