@@ -72,10 +72,10 @@ for mode, name in enumerate(fit.modes):
 # The controller
 # --------------
 #
-# A sum of errors removes what the model misses. The first loop predicts over the dead time, with the
-# flow as it is measured and a model of how long it lasts. The second ignores the dead time with the
-# same tuning; the third ignores it with a slower tuning that stays stable. The proof covers every
-# flow whose regimes last ten minutes or more.
+# A sum of errors removes what the model misses. The first loop predicts over the dead time, with
+# the flow as it is measured and a model of how long it lasts. The second ignores the dead time with
+# the same tuning; the third ignores it with a slower tuning that stays stable. The proof covers
+# every flow whose regimes last ten minutes or more.
 
 plant, C = fit.plant, np.eye(1)
 servo = dt.Servo(plant, C, tracked=C)
