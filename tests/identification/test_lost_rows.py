@@ -147,3 +147,10 @@ def test_a_grid_begins_at_the_first_time_of_the_log():
 def test_a_lost_row_in_a_held_out_part_is_no_mode():
     fit = dt.identify(EVEN.drop(index=350), delay=(0.0, 1.0), hold="held", test="half")
     assert fit.validation.samples > 150
+
+
+def test_a_range_of_delays_that_lost_rows_leave_without_measurements_is_refused():
+    rng = np.random.default_rng(1)
+    log = EVEN.drop(columns="mode")[rng.random(T) < 0.8]
+    with pytest.raises(dt.ArgumentError, match=r"too few for .* narrow delay"):
+        dt.identify(log, delay=(0.0, 2.0), noise=True)

@@ -23,7 +23,11 @@ from deadtime.identification.likelihoods.likelihood import maximise
 from deadtime.identification.likelihoods.noisy_log import Embedding, NoisyLog
 from deadtime.identification.log.logged_states import fit_switching
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.noisy_estimate import estimate_at, start_with_scan
+from deadtime.identification.noisy_estimate import (
+    estimate_at,
+    require_measured,
+    start_with_scan,
+)
 from deadtime.identification.outputs_maxima import (
     Guess,
     equivalent_delays,
@@ -38,7 +42,6 @@ from deadtime.identification.sampling import nodes_for
 from deadtime.identification.scoring import Maximum
 from deadtime.numerics.kernels import expect_many_calls
 
-_LEAST = 2  # measurements per unknown
 _FEW = 4_000  # samples that locate the maximum
 _DOUBT = 0.05  # level at which zeros are plausible
 _WIDE = 0.2  # relative standard error of an input's weight that suggests a spurious pole
@@ -119,12 +122,7 @@ def choose_model(request: OutputsRequest, lead: tuple[int, ...] | None = None) -
     nodes = nodes_for(recording.parts, layout.split(guess.theta)[0])
     some = recording.stretches(_FEW, recording.lag(bounds[1]))
     log = NoisyLog(some, layout, within, bounds, nodes, shape.C, shape)
-    if (known := log.measured(log.starts(*bounds))) < _LEAST * log.free.size:
-        raise ArgumentError(
-            f"log has {known} measurements whose inputs are known for all delays of up to "
-            f"{bounds[1]:g} s, too few for {log.free.size} unknowns: narrow delay=(low, high), "
-            "--delay LOW HIGH, or log for longer, with fewer rows lost."
-        )
+    require_measured(log, log.free.size)
     before = "".join(f"{n} + " for n in order[:-1])
     progress(f"looking for the delay with {before}{number_of(order[-1], 'state')}")
     simple = _model_of(log, scan_starts(log, guess), starts_from_past(log, guess))

@@ -36,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from deadtime.base.errors import ArgumentError
 from deadtime.identification.delay_scan import DelayScan, largest_maximum
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.intervals import (
@@ -63,6 +64,7 @@ from deadtime.numerics.kernels import expect_many_calls
 
 _ENOUGH = 10_000  # samples that suffice for the gradient g
 _FEW = 4_000  # samples that locate the largest maximum
+_LEAST = 2  # measurements per unknown
 _FLOOR = 1e-9  # of the trace of W: least noise in every direction of a start
 _STEP = 1e-3  # of a logarithm, for differences
 _GAIN = 1e-4  # rise of log likelihood that ends a climb
@@ -100,6 +102,18 @@ def start_with_scan(log: NoisyLog, best: Maximum, scan: DelayScan, samples: int)
     return Start(theta, log.cells(theta), scan.first, scan.curves * share, log.acting.size)
 
 
+def require_measured(log: NoisyLog, unknowns: int) -> None:
+    """Refuse a log with too few measurements whose inputs are known for all delays searched."""
+    each = zip(log.recording.parts, log.starts(*log.bounds), strict=True)
+    known = sum(int(np.isfinite(part.output[~start]).sum()) for part, start in each)
+    if known < _LEAST * unknowns:
+        raise ArgumentError(
+            f"log has {known} measurements whose inputs are known for all delays of up to "
+            f"{log.bounds[1]:g} s, too few for {unknowns} unknowns: narrow delay=(low, high), "
+            "--delay LOW HIGH, or log for longer, with fewer rows lost."
+        )
+
+
 def noisy_starts(
     recording: Recording, C: SensorMatrix, exact: Estimate
 ) -> tuple[NoisyLog, list[Vector]]:
@@ -110,6 +124,7 @@ def noisy_starts(
         theta, layout = with_constant(theta, layout, recording.level, np.linalg.pinv(C))
     of = exact.log
     log = NoisyLog(recording, layout, of.within, of.bounds, of.nodes, C)
+    require_measured(log, layout.size)
     noises = first_noises(exact.disturbance.mean(axis=0), C, recording.step)
     return log, [log.join(theta, noise) for noise in noises]
 

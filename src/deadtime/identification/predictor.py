@@ -176,6 +176,8 @@ class Predictor(Frozen):
             for _ in range(0 if self.exact else _SETTLED):
                 gain = np.linalg.lstsq(C @ P @ C.T + R, C @ P, rcond=None)[0].T
                 P = Phi @ (P - gain @ C @ P) @ Phi.T + Q
+                if not np.isfinite(P).all():  # of a mode far from any that fits its log
+                    return np.full(len(C), np.inf)
             for _ in range(1, rows):
                 P = Phi @ P @ Phi.T + Q
             worst = np.maximum(worst, np.diagonal(C @ P @ C.T + R))
