@@ -182,7 +182,7 @@ def test_noise_that_is_asked_for_has_intervals_and_modes_are_labelled():
 @pytest.mark.long
 def test_noise_of_the_sensors_is_found_and_rows_are_labelled_better(tmp_path):
     log, mode = made(two_modes(0.312), 400, 0.02)
-    how: Any = {"modes": 2, "delay": (0.2, 0.4), "switches": "samples"}
+    how: Any = {"modes": 2, "hold": "held", "delay": (0.2, 0.4), "switches": "samples"}
     fit, exact = dt.identify(log, **how), dt.identify(log, noise=False, **how)
     assert right(fit, mode) > right(exact, mode) + 0.05
     assert right(fit, mode) > 0.75

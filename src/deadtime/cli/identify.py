@@ -51,7 +51,7 @@ _OF_HIDDEN = ("numbers", "bic", "chain", "sure", "widening", "starts", "agreed")
         "deadtime identify log.csv --one-mode --delay 0 0.5",
         "deadtime identify log.csv --modes 1..3 --switches samples    # modes not logged",
         "deadtime identify log.csv --order 2 --outputs position    # speed is not logged",
-        "deadtime identify log.csv --model fopdt --one-mode --delay 0 60    # a step test",
+        "deadtime identify log.csv --model fopdt --one-mode --delay 0 60    # step test",
         "deadtime identify log.csv --one-mode --test half    # or --test second.csv",
         "deadtime identify monday.csv tuesday.csv --modes gear --beside problem.toml",
     ),

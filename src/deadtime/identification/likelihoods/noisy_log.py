@@ -240,7 +240,8 @@ class SensorLikelihood(Likelihood):
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the triangle of L."""
-        return np.tril_indices(self.layout.n)
+        rows, columns = map(read_only, np.tril_indices(self.layout.n))
+        return rows, columns
 
     @property
     def size(self) -> int:
