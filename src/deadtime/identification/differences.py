@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -218,7 +218,7 @@ class _Regressions:
         from scipy.optimize import minimize_scalar
 
         at = int(np.flatnonzero(shifts == shift)[0])
-        found = minimize_scalar(
+        found: Any = minimize_scalar(
             lambda one: self._left(one, gain, level)[0],
             bounds=(shifts[max(at - 1, 0)], shifts[min(at + 1, len(shifts) - 1)]),
             method="bounded",

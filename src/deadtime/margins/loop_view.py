@@ -320,7 +320,7 @@ def _disk_margin(response: partial, omega: np.ndarray, S: np.ndarray) -> tuple[f
         inside = np.linalg.inv(unit + response(np.array([at])))
         return -float(_largest(inside - 0.5 * unit)[0])
 
-    best = minimize_scalar(
+    best: Any = minimize_scalar(
         negative, bounds=ends, method="bounded", options={"xatol": 1e-9 * ends[1]}
     )
     peak, at = max((float(size[k]), float(omega[k])), (-float(best.fun), float(best.x)))
