@@ -203,7 +203,7 @@ def is_missing(cell: str) -> bool:
 
 
 def advice_on(cell: str) -> str:
-    """What to do about a cell that is no number."""
+    """Advice on a cell that is no number."""
     if _COMMA.fullmatch(cell):
         return (
             'say decimal=",", --decimal ",", if its comma is of decimals, in all numbers alike, or '

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -177,6 +177,7 @@ def identify(
     _require_apart([*logs, beside, *tests], [out, figure, report])
     whose = _law_of(beside, law)
     failed = None
+    columns = _columns((states, inputs, outputs, on_change), logs[0], time, sep, decimal)
     with stage_line(quiet=json_output) as stage:
         fit = identified(
             list(logs),
@@ -185,9 +186,9 @@ def identify(
             per_mode=per_mode,
             noise=noise,
             switches=switches,
-            states=_columns(states, logs[0], sep),
-            inputs=_columns(inputs, logs[0], sep),
-            outputs=_columns(outputs, logs[0], sep),
+            states=columns[0],
+            inputs=columns[1],
+            outputs=columns[2],
             order=None if order is None else order[0] if len(order) == 1 else order,
             zeros=zeros,
             model=model,
@@ -198,7 +199,7 @@ def identify(
             step=step,
             sep=sep,
             decimal=decimal,
-            on_change=_columns(on_change, logs[0], sep) or (),
+            on_change=columns[3] or (),
             progress=stage,
         )
         sentences = [with_options(one) for one in fit.sentences]
@@ -294,15 +295,28 @@ def _modes(text: str) -> str | int | range:
     return first if last is None else range(first, int(last) + 1)
 
 
-def _columns(given: list[str] | None, log: Path, sep: str | None) -> list[str] | None:
+def _columns(
+    options: Sequence[list[str] | None],
+    log: Path,
+    time: str | None,
+    sep: str | None,
+    decimal: str | None,
+) -> list[list[str] | None]:
     """Names split at commas, except columns of the log whose names contain commas."""
-    if given is None or not any("," in text for text in given):
-        return given
+    if not any("," in text for given in options for text in given or ()):
+        return list(options)
+    from deadtime.base.row_clocks import TIMES
     from deadtime.base.text_tables import read_text_table
 
-    whole = read_text_table(log, sep).columns
-    parts = [[text] if text in whole else text.split(",") for text in given]
-    return [name.strip() for texts in parts for name in texts]
+    whole = read_text_table(log, sep, decimal, TIMES if time is None else (time,)).columns
+
+    def split(text: str) -> list[str]:
+        return [text] if text in whole else [name.strip() for name in text.split(",")]
+
+    return [
+        given if given is None else [name for text in given for name in split(text)]
+        for given in options
+    ]
 
 
 def _law_of(beside: Path | None, name: str | None) -> tuple[str, Law, float] | None:

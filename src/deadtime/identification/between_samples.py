@@ -273,7 +273,9 @@ def _widened(log: IdentifiedLog, later: Float[np.ndarray, " delay"]) -> Identifi
     if (later < _LITTLE * (high - low)).all():
         return log
     ends = np.column_stack((np.minimum(low, low + later), np.maximum(high, high + later)))
-    estimate = replace(estimate, intervals=np.clip(ends, *estimate.log.bounds))
+    estimate = replace(
+        estimate, intervals=np.clip(ends, estimate.searched[0], estimate.log.bounds[1])
+    )
     sentence = (
         "The log does not tell whether the input is held between samples or changes linearly: the "
         f"interval covers both; a linear one has a delay {_ends(later)} s longer. Say which by "

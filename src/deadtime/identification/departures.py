@@ -37,7 +37,7 @@ from deadtime.identification.likelihoods.innovations import Innovations
 from deadtime.identification.likelihoods.likelihood import Likelihood, maximise
 from deadtime.identification.log.read_tables import quoted
 from deadtime.identification.log.recording import Part, Recording
-from deadtime.identification.parameters import Layout, Vector, Window
+from deadtime.identification.parameters import SHORTEST, Layout, Vector, Window
 from deadtime.identification.residuals import CHANCE
 from deadtime.identification.score_tests import (
     Regression,
@@ -387,7 +387,7 @@ class Probe(NamedTuple):
     def with_delay(self, j: int, shift: float) -> Vector:
         """The unknowns with the delay of an input longer by a shift, but positive."""
         moved, place = self.vector.copy(), np.unique(self.layout.of_delay[:, j])
-        moved[place] = np.maximum(moved[place] + shift, 1e-6 * self.log.recording.step)
+        moved[place] = np.maximum(moved[place] + shift, SHORTEST * self.log.recording.step)
         return moved
 
     def _say_lag(self, j: int, lag: float) -> tuple[str, str]:
@@ -506,7 +506,7 @@ class Probe(NamedTuple):
         """The responses to signals added to dx_a/dt, each constant from row to row."""
         layout = self.layout
         A, B, delays = (one.copy() for one in layout.split(self.vector[: layout.size]))
-        B[:], delays[:] = 0.0, 1e-6 * self.log.recording.step
+        B[:], delays[:] = 0.0, SHORTEST * self.log.recording.step
         B[:, a, 0] = 1.0
         vector = np.concatenate((layout.join(A, B, delays), self.vector[layout.size :]))
         ends = np.cumsum([part.time.size for part in self.parts])[:-1]

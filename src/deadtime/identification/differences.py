@@ -25,7 +25,7 @@ from jaxtyping import Float
 from deadtime.base.wording import amount
 from deadtime.identification.estimate import Estimate
 from deadtime.identification.log.recording import Recording
-from deadtime.identification.parameters import SensorMatrix, Window
+from deadtime.identification.parameters import SHORTEST, SensorMatrix, Window
 from deadtime.identification.predictor import Predictor
 from deadtime.identification.residuals import CHANCE, autocorrelation
 
@@ -35,7 +35,6 @@ _NEAR = np.array([-2.0, -1.0, -0.5, 0.5, 1.0, 2.0])  # periods from the delay, w
 _FINE = 1e-2  # of a period: accuracy of the delay that is found
 _SUBSETS = 7
 _LEAST = 3  # rows per unknown
-_SHORTEST = 1e-6  # of a period: the shortest delay
 _SURE = 3.0  # standard errors of a correlation that counts
 ROUND_OFF = 1e-9  # of an output's deviation: smaller errors are round-off
 _FAR = 4.0  # ratio of variances from which errors count as far larger
@@ -43,7 +42,7 @@ _SINGULAR = 1e8  # condition number of A beyond which there is no rest
 
 
 class Difference(NamedTuple):
-    """What differs in a log; None where it does not.
+    """Differences of a log from the model; None where there is none.
 
     gain : (m,), factors of B; delay : added to all, seconds
     level : (modes, n), added to dx/dt; offset : (p,), of the outputs, if it is that of a rest
@@ -69,7 +68,7 @@ class Difference(NamedTuple):
         return replace(own, vector=theta)
 
     def words(self, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> str:
-        """What differs, as a list in words."""
+        """The differences as a list in words."""
         words = []
         if self.gain is not None:
             of = [f"of {name} " if inputs[1:] else "" for name in inputs]
@@ -88,7 +87,7 @@ class Difference(NamedTuple):
 
 
 def difference_of(predictor: Predictor, inflation: float, logs: int = 1) -> Difference | None:
-    """What differs significantly in a recording, one of several logs; None if nothing does.
+    """The significant differences of a recording, one of several logs; None if there is none.
 
     inflation : of 2 log L by errors that are not white
     """
@@ -96,7 +95,7 @@ def difference_of(predictor: Predictor, inflation: float, logs: int = 1) -> Diff
 
     own = predictor.with_constant()
     (low, high), h, D = own.log.bounds, own.log.recording.step, own.model.plant.delays
-    ends = min(0.0, max(low, _SHORTEST * h) - float(D.min())), max(0.0, high - float(D.max()))
+    ends = min(0.0, max(low, SHORTEST * h) - float(D.min())), max(0.0, high - float(D.max()))
     near = np.clip(_NEAR * h, *ends)
     shifts = np.unique(np.concatenate((np.linspace(*ends, _GRID), near, [0.0])))
     regressions = _Regressions.of(predictor, own, shifts)

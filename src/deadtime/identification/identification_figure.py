@@ -17,7 +17,7 @@ from deadtime.base.figure_style import COLOURS, STYLE, WIDTH, plain
 from deadtime.identification.likelihoods.noisy_log import following
 from deadtime.identification.log.recording import Part
 from deadtime.identification.predictor import Predictor
-from deadtime.identification.residuals import LAGS, autocorrelation, with_inputs
+from deadtime.identification.residuals import LAGS, autocorrelation, input_correlations
 from deadtime.identification.sentences import delay_names
 from deadtime.identification.validation_figure import draw_validation, plot_validation
 
@@ -155,7 +155,9 @@ def _draw_inputs(axes: Axes, fit: Findings) -> None:
     """The largest correlation of any residual with each input, over the time in between."""
     from scipy.stats import norm
 
-    r, count = with_inputs(list(fit._estimate.white), fit._recording, float(fit.delays.max()))
+    r, count = input_correlations(
+        list(fit._estimate.white), fit._recording, float(fit.delays.max())
+    )
     time = fit.step * np.arange(1, len(count) + 1)
     largest = np.take_along_axis(r, np.abs(r).argmax(axis=1)[:, None], axis=1)[:, 0]
     # The largest of n is outside more often than one: Bonferroni's level for a lag.

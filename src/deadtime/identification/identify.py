@@ -42,7 +42,7 @@ from deadtime.identification.noisy_estimate import (
     estimate_with_noise,
     may_be_exact,
 )
-from deadtime.identification.parameters import Layout
+from deadtime.identification.parameters import SHORTEST, Layout
 from deadtime.identification.process_models import (
     order_of_model,
     process_sentences,
@@ -53,8 +53,6 @@ from deadtime.identification.validation import NOT_LOGGED, log_to_compare
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_SHORTEST = 1e-6  # of a period: the shortest delay
 
 
 def identify(
@@ -221,7 +219,7 @@ def identify(
         return Identification.of(with_hold_tested(log, degree))
 
     def from_recording(recording: Recording) -> Identification:
-        bounds = max(low, _SHORTEST * recording.step), high
+        bounds = max(low, SHORTEST * recording.step), high
         about = recording.about(level_of(recording))
         if order is not None:
             of = about, order, zeros, per_mode, bounds, within, progress, model

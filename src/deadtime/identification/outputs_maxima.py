@@ -157,7 +157,7 @@ def with_other_delays(estimate: Estimate) -> tuple[Estimate, list[str]]:
     ends = np.column_stack((centres.min(axis=0) - half, centres.max(axis=0) + half))
     low = np.minimum(estimate.intervals[:, 0], ends[place, 0])
     high = np.maximum(estimate.intervals[:, 1], ends[place, 1])
-    intervals = np.clip(np.column_stack((low, high)), *log.bounds)
+    intervals = np.clip(np.column_stack((low, high)), estimate.searched[0], log.bounds[1])
     each = [", ".join(f"{d:.4g}" for d in one.theta[place]) for one in others]
     delays = "The delay" if place.size == 1 else "Delays"
     sentence = (

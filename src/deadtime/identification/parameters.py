@@ -19,6 +19,8 @@ from deadtime.base.checks import read_only
 from deadtime.base.frozen import Frozen
 from deadtime.plant import SwitchedSystem
 
+SHORTEST = 1e-6  # of a period: the shortest delay that a search tries in place of 0
+
 Vector = Float[np.ndarray, " size"]  # unknowns, those of a plant first
 Window = tuple[float, float]  # the least and the largest delay, seconds
 Cells = Int[np.ndarray, " delay"]  # of every delay of a layout

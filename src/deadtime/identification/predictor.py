@@ -30,6 +30,7 @@ from deadtime.identification.likelihoods.noisy_log import NoisyLog
 from deadtime.identification.log.recording import Level, Part, Recording
 from deadtime.identification.noisy_estimate import noisy_residuals
 from deadtime.identification.parameters import (
+    SHORTEST,
     SensorMatrix,
     Squares,
     Vector,
@@ -40,7 +41,6 @@ from deadtime.identification.sampling import known_ends, nodes_for
 from deadtime.identification.transition import interpolation, noise_tables, plain_transitions
 
 _KNOWN = 1e-9  # eigenvalue of the unknowns' correlation: combinations that are known
-_SHORTEST = 1e-6  # of a period: the shortest delay
 _SMALL = 0.1  # of an error: step of differences
 _FIRST = 10  # rows per state, at least, that determine the first state of a free run
 _SHARE = 0.1  # of the rows of a run, likewise
@@ -104,7 +104,7 @@ class Predictor(Frozen):
         return FittedModel(layout.plant(theta), layout.constant_of(theta), self.log.sampling)
 
     def with_constant(self) -> Predictor:
-        """The same predictor with places for constant terms."""
+        """This predictor with places for constant terms."""
         log, C = self.log, self.log.C
         size, zero = log.layout.size, Level(np.zeros(len(C)), np.zeros(log.layout.m))
         theta, layout = with_constant(self.vector[:size], log.layout, zero, np.linalg.pinv(C))
@@ -129,7 +129,7 @@ class Predictor(Frozen):
         values, vectors = np.linalg.eigh(self.covariance / unit / unit[:, None])
         ways = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         e, by = self.errors(self.vector, window), []
-        at, shortest = self.log.layout.at_delays, _SHORTEST * self.log.recording.step
+        at, shortest = self.log.layout.at_delays, SHORTEST * self.log.recording.step
         for way in ways.T[values > _KNOWN]:
             moved = self.vector.copy()
             moved[: way.size] += _SMALL * way
@@ -155,13 +155,14 @@ class Predictor(Frozen):
         self, number: int, ahead: Float[np.ndarray, "sample n"], rows: int
     ) -> Float[np.ndarray, "sample n"]:
         """States predicted some rows ahead, from those a row ahead."""
-        part, model = self.parts[number], self.model
-        fed, result = np.append(model.fed(part), False), np.full(ahead.shape, np.nan)
+        Phi, forced = self.model.transitions(self.parts[number])
+        fed = np.append(np.isfinite(forced).all(axis=1), False)
+        result = np.full(ahead.shape, np.nan)
         k = np.flatnonzero(np.isfinite(ahead).all(axis=1))
         x = ahead[k]
         for _ in range(1, rows):
             x, k = x[fed[k]], k[fed[k]]
-            x, k = model.one_step(part, k, x), k + 1
+            x, k = np.einsum("kab,kb->ka", Phi[k], x) + forced[k], k + 1
         result[k] = x
         return result
 

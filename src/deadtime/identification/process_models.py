@@ -204,7 +204,6 @@ def processes_of(estimate: Estimate, recording: Recording, C: SensorMatrix) -> t
     if layout.n > _MOST:
         return ()
     D = np.column_stack((estimate.delays, estimate.intervals))
-    D[D[:, 1] <= estimate.log.bounds[0], 1] = estimate.searched[0]
     determined = ~(estimate.missed | estimate.several | estimate.range_flags[1])
     covariance, reach = _covariance(estimate)
     for i, mode in enumerate(recording.modes):

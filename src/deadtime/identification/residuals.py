@@ -136,7 +136,7 @@ def judge_residuals(
         size = float(r.flat[np.abs(r).argmax()])
         worst = (lag, size) if abs(size) > abs(worst[1]) else worst
     spare = max(n * n * pairs_at - (n * n if spent is None else spent), n * n)
-    r, count = with_inputs(white, recording, longest)
+    r, count = input_correlations(white, recording, longest)
     z, lags = np.abs(r).max(axis=1) * np.sqrt(count)[:, None], len(count)
     place = np.unravel_index(int(np.argmax(z)), (lags, m))
     chance = min(1.0, float(2.0 * norm.sf(np.max(z)) * lags * n * m))
@@ -149,7 +149,7 @@ def judge_residuals(
     )
 
 
-def with_inputs(
+def input_correlations(
     white: list[Float[np.ndarray, "sample n"]], recording: Recording, longest: float
 ) -> tuple[Float[np.ndarray, "lag n m"], Float[np.ndarray, " lag"]]:
     """The residuals' correlation with inputs 1, 2, … samples before, and the number of pairs."""

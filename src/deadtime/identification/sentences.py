@@ -91,7 +91,7 @@ def _delays(estimate: Estimate, recording: Recording) -> list[str]:
             if vague or counts_milliseconds(recording):
                 sentences += reasons(recording, place % len(recording.inputs), high - low)
             continue
-        left, D = (low if one <= estimate.log.bounds[0] else one for one in (left, D))
+        D = low if estimate.log.bounds[0] >= D else D
         digits = _digits(D, right - left)
         ends = f"{left:.{digits}g} … {right:.{digits}g} s"
         if cut and not vague:

@@ -326,7 +326,13 @@ class ExactInnovations(NamedTuple):
         return cls(own, k, np.linalg.cholesky(S))
 
     def residuals(self, vector: Vector) -> Float[np.ndarray, "row p"]:
-        return self._errors(vector, self.log.recording.parts)
+        log, n = self.log, self.log.layout.n
+        maps = log.sampling.maps(log.layout, vector, log.cells(vector), slopes=False)
+        result = np.zeros((log.recording.rows, n))
+        for mode, rows, z in self._periods(vector, log.recording.parts):
+            e = z[:, :n] - z[:, n:] @ maps[mode].P.T
+            result[rows] = np.linalg.solve(self.roots[mode], e.T).T
+        return result
 
     def slopes(self, vector: Vector) -> Float[np.ndarray, "datum size"]:
         log, layout = self.log, self.log.layout
@@ -374,12 +380,3 @@ class ExactInnovations(NamedTuple):
                     z = log.sampling.rows(part, k, reads[mode], log.layout.constant)
                     yield mode, first + k + 1, z
             first += part.time.size
-
-    def _errors(self, vector: Vector, parts: Sequence[Part]) -> Float[np.ndarray, "row p"]:
-        log, n = self.log, self.log.layout.n
-        maps = log.sampling.maps(log.layout, vector, log.cells(vector), slopes=False)
-        result = np.zeros((sum(part.time.size for part in parts), n))
-        for mode, rows, z in self._periods(vector, parts):
-            e = z[:, :n] - z[:, n:] @ maps[mode].P.T
-            result[rows] = np.linalg.solve(self.roots[mode], e.T).T
-        return result
